@@ -1,0 +1,2 @@
+//! The `limpid` program.
+fn main() {}
