@@ -1,0 +1,110 @@
+//! Motion bases as tensors, and the motion of Gaussians at a time.
+
+use crate::init::MotionInit;
+use crate::rotation::{MAX_ENTRY, gram_schmidt};
+use burn::tensor::activation::softmax;
+use burn::tensor::{DType, Device, Tensor, TensorData};
+
+/// Rotations and translations of all bases in all training frames: the trainable tensors.
+#[derive(Clone, Debug)]
+pub struct MotionBases {
+    /// 6D rotations, [B, N * 6]: frame t's six numbers at columns 6t to 6t + 6.
+    pub rots: Tensor<2>,
+    /// Translations in scene units, [B, N * 3]: frame t's three numbers at columns 3t to 3t + 3.
+    pub transls: Tensor<2>,
+    /// Number of training frames N.
+    pub num_frames: usize,
+}
+
+/// A rigid motion per Gaussian, from the canonical frame to some time.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Rotations, [F, 3, 3].
+    pub rotations: Tensor<3>,
+    /// Translations in scene units, [F, 3].
+    pub translations: Tensor<2>,
+}
+
+impl MotionBases {
+    /// The bases that [`crate::initialize`] found.
+    #[must_use]
+    pub fn from_init(init: &MotionInit, device: &Device, dtype: DType) -> Self {
+        let (bases, frames) = (init.num_bases, init.tracks.num_frames);
+        let tensor = |values: &[f64], width: usize| {
+            let data = TensorData::new(values.to_vec(), [bases, frames * width]);
+            Tensor::<2>::from_data(data, (device, dtype))
+        };
+        Self {
+            rots: tensor(&init.rots, 6),
+            transls: tensor(&init.transls, 3),
+            num_frames: frames,
+        }
+    }
+
+    /// Number of bases B.
+    #[must_use]
+    pub fn num_bases(&self) -> usize {
+        self.rots.dims()[0]
+    }
+
+    /// The motion from the canonical frame to `time` of Gaussians with the given coefficients.
+    ///
+    /// `coefficients` are logits, [F, B]. `time` is in units of frames and is clamped to [0, N - 1];
+    /// between two frames the blended 6D vectors and translations are interpolated linearly, before
+    /// Gram–Schmidt.
+    ///
+    /// # Panics
+    /// Panics when `time` is NaN, or when the shapes do not fit together.
+    #[must_use]
+    pub fn motion_at(&self, coefficients: &Tensor<2>, time: f32) -> Motion {
+        assert!(!time.is_nan(), "motion was asked for at a time that is NaN");
+        let [rows, bases] = coefficients.dims();
+        assert!(
+            bases == self.num_bases(),
+            "coefficients are [{rows}, {bases}], but there are {} motion bases",
+            self.num_bases()
+        );
+        if rows == 0 {
+            let options = (&coefficients.device(), coefficients.dtype());
+            return Motion {
+                rotations: Tensor::zeros([0, 3, 3], options.clone()),
+                translations: Tensor::zeros([0, 3], options),
+            };
+        }
+        let last = self.num_frames.saturating_sub(1);
+        let time = f64::from(time).clamp(0.0, last as f64);
+        let (floor, ceil) = (time.floor() as usize, time.ceil() as usize);
+        let at = |frames: &Tensor<2>, width: usize| {
+            let frame = |t: usize| frames.clone().slice_dim(1, width * t..width * (t + 1));
+            if floor == ceil {
+                frame(floor)
+            } else {
+                // Blending over bases and interpolation over time are linear: their order does not matter.
+                let part = time - floor as f64;
+                frame(floor) * (1.0 - part) + frame(ceil) * part
+            }
+        };
+        let weights = softmax(coefficients.clone(), 1); // [F, B]
+        // Clamped here already, so that a product cannot overflow.
+        let six = weights
+            .clone()
+            .matmul(at(&self.rots, 6).clamp(-MAX_ENTRY, MAX_ENTRY)); // [F, 6]
+        Motion {
+            rotations: gram_schmidt(six),
+            translations: weights.matmul(at(&self.transls, 3)), // [F, 3]
+        }
+    }
+}
+
+impl Motion {
+    /// Means [F, 3] moved from the canonical frame: R mean + t.
+    #[must_use]
+    pub fn transform_means(&self, means: &Tensor<2>) -> Tensor<2> {
+        let [rows, _] = means.dims();
+        if rows == 0 {
+            return means.clone();
+        }
+        let rotated = (self.rotations.clone() * means.clone().reshape([rows, 1, 3])).sum_dim(2);
+        rotated.reshape([rows, 3]) + self.translations.clone()
+    }
+}

@@ -1,0 +1,95 @@
+//! From six numbers to a rotation: Gram–Schmidt on two vectors (Zhou et al. 2019).
+//!
+//! `x = a1 / |a1|`, `z = (x × a2) / |x × a2|`, `y = z × x`, which is the usual
+//! `y = (a2 - (a2·x) x) / |…|`, `z = x × y` in another order. The columns of the rotation are x, y, z.
+//!
+//! Averaged 6D vectors can cancel out or become parallel. There the vector at fault is replaced by a
+//! fixed axis, so that the result is always a rotation and every gradient finite.
+
+use burn::tensor::Tensor;
+
+/// A vector under this length has no direction: the x axis takes its place.
+const MIN_NORM: f64 = 1e-6;
+/// Two vectors with a smaller sine between them count as parallel. (In f32 the result would be
+/// orthonormal only to 1e-7 over the sine.)
+const MIN_SINE: f64 = 1e-3;
+/// Larger entries are clamped, so that squares of squares fit into f32.
+pub(crate) const MAX_ENTRY: f64 = 1e9;
+
+/// A vector per element: three tensors of one shape.
+pub(crate) type Components = [Tensor<2>; 3];
+
+/// Rotations [F, 3, 3] from 6D vectors [F, 6]; columns are x, y, z.
+///
+/// - Where |a1| (the first three numbers) is under 1e-6, a1 is taken as (1, 0, 0).
+/// - Where a2 is shorter than that, or within 0.06° of a1's line, a2 is taken as (0, 1, 0), or as
+///   (0, 0, 1) where x lies within 26° of the y axis.
+///
+/// The gradient of a vector that was replaced is zero. Entries beyond ±1e9 are clamped.
+#[must_use]
+pub fn gram_schmidt(six: Tensor<2>) -> Tensor<3> {
+    let [rows, _] = six.dims();
+    let six = six.clamp(-MAX_ENTRY, MAX_ENTRY).transpose(); // [6, F]
+    let row = |c: usize| six.clone().slice_dim(0, c..c + 1); // [1, F]
+    let [x, y, z] = orthonormal_columns([row(0), row(1), row(2)], [row(3), row(4), row(5)]);
+    let ([x0, x1, x2], [y0, y1, y2], [z0, z1, z2]) = (x, y, z);
+    Tensor::cat(vec![x0, y0, z0, x1, y1, z1, x2, y2, z2], 0)
+        .transpose()
+        .reshape([rows, 3, 3])
+}
+
+/// Gram–Schmidt element by element, on vectors whose components are tensors of one shape with
+/// entries within ±[`MAX_ENTRY`]. Returns the columns x, y, z.
+pub(crate) fn orthonormal_columns(a1: Components, a2: Components) -> [Components; 3] {
+    let no_direction = square_norm(&detached(&a1)).lower_elem(MIN_NORM * MIN_NORM);
+    let [ax, ay, az] = a1;
+    let a1 = [
+        ax.mask_fill(no_direction.clone(), 1.0),
+        ay.mask_fill(no_direction.clone(), 0.0),
+        az.mask_fill(no_direction, 0.0),
+    ];
+    let x = normalized(a1);
+
+    let (x_fixed, a2_fixed) = (detached(&x), detached(&a2));
+    let square = square_norm(&a2_fixed);
+    let unusable = square_norm(&cross(&x_fixed, &a2_fixed))
+        .lower(square.clone() * (MIN_SINE * MIN_SINE))
+        .bool_or(square.lower_elem(MIN_NORM * MIN_NORM));
+    let x_near_y_axis = x_fixed[1].clone().square().greater_elem(0.8);
+    let z_axis = x_fixed[1].zeros_like().mask_fill(x_near_y_axis, 1.0);
+    let y_axis = z_axis.clone().neg() + 1.0;
+    let [ax, ay, az] = a2;
+    let a2 = [
+        ax.mask_fill(unusable.clone(), 0.0),
+        ay.mask_where(unusable.clone(), y_axis),
+        az.mask_where(unusable, z_axis),
+    ];
+
+    let z = normalized(cross(&x, &a2));
+    let y = cross(&z, &x);
+    [x, y, z]
+}
+
+fn detached(v: &Components) -> Components {
+    [
+        v[0].clone().detach(),
+        v[1].clone().detach(),
+        v[2].clone().detach(),
+    ]
+}
+
+/// Squared length of each vector.
+pub(crate) fn square_norm(v: &Components) -> Tensor<2> {
+    v[0].clone().square() + v[1].clone().square() + v[2].clone().square()
+}
+
+fn normalized(v: Components) -> Components {
+    let inverse = square_norm(&v).sqrt().recip();
+    let [x, y, z] = v;
+    [x * inverse.clone(), y * inverse.clone(), z * inverse]
+}
+
+fn cross(a: &Components, b: &Components) -> Components {
+    let c = |i: usize, j: usize| a[i].clone() * b[j].clone() - a[j].clone() * b[i].clone();
+    [c(1, 2), c(2, 0), c(0, 1)]
+}
