@@ -1,1 +1,17 @@
-//! unseen-views
+//! Poses around a camera path and forward warping into them.
+//!
+//! Views that no camera took keep a scene honest where the training views alone leave it free: a
+//! frame with depth is warped to a pose beside the path and serves there as a picture to learn from.
+//!
+//! Plain slices, no tensors: the warp's inputs are data, so it needs no gradient.
+//!
+//! Conventions: camera axes x right, y down, z forward; the centre of pixel (i, j) is at
+//! (i + 0.5, j + 0.5); depth is z-depth in scene units; poses are named `cam_from_world`.
+
+mod error;
+mod pose;
+mod warp;
+
+pub use error::WarpError;
+pub use pose::{parallel_pose, perpendicular_pose};
+pub use warp::{Source, WarpOptions, Warped, warp};
