@@ -1,0 +1,270 @@
+//! Adam (Kingma and Ba, 2015) over rank-2 parameters, with state that follows row edits.
+//!
+//! The state is ours and not `burn::optim`'s, because density control clones, splits and removes
+//! rows, and the moments have to follow.
+
+use crate::density::{RowEdit, RowKind, gather_rows};
+use crate::real::{Real, leaf, values, with_real};
+use burn::tensor::{Tensor, TensorData};
+use rayon::prelude::*;
+
+/// Elements per parallel task. The update is element-wise, so the partition does not change a bit.
+const BLOCK: usize = 1 << 15;
+
+/// Gradients beyond this magnitude count as this much. Its square stays far inside f32: an infinite
+/// second moment would never decay, and the element would stand still for ever.
+const LARGEST_GRADIENT: f64 = 1e15;
+
+/// First moments below this magnitude are zero: they move nothing, and would decay into denormal
+/// numbers, which are slow, and stay there.
+const SMALLEST_FIRST: f64 = 1e-30;
+
+/// Second moments below this are zero: their root vanishes beside epsilon.
+const SMALLEST_SECOND: f64 = 1e-37;
+
+/// Adam's constants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamOptions {
+    /// Decay of the first moment.
+    pub beta1: f64,
+    /// Decay of the second moment.
+    pub beta2: f64,
+    /// Added to the root of the second moment.
+    pub epsilon: f64,
+}
+
+impl Default for AdamOptions {
+    /// The constants of 3D Gaussian Splatting: 0.9, 0.999, 1e-15.
+    fn default() -> Self {
+        Self {
+            beta1: 0.9,
+            beta2: 0.999,
+            epsilon: 1e-15,
+        }
+    }
+}
+
+/// Learning rate of one parameter.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LearningRate {
+    /// One rate for the whole tensor.
+    Uniform(f64),
+    /// One rate per column.
+    PerColumn(Vec<f64>),
+}
+
+impl LearningRate {
+    /// `first` for columns [0, `num_first`), `rest` for those behind, `columns` in all.
+    ///
+    /// Spherical harmonics [N, 48] use it: three DC columns at 2.5e-3, the others at a twentieth.
+    #[must_use]
+    pub fn first_and_rest(first: f64, num_first: usize, rest: f64, columns: usize) -> Self {
+        Self::PerColumn(
+            (0..columns)
+                .map(|column| if column < num_first { first } else { rest })
+                .collect(),
+        )
+    }
+
+    /// A row-aligned stretch of rates, at least a few hundred long so that inner loops are not short.
+    fn tile<T: Real>(&self, columns: usize) -> Vec<T> {
+        let rows = 512_usize.div_ceil(columns.max(1));
+        match self {
+            Self::Uniform(rate) => vec![T::of(*rate); rows * columns],
+            Self::PerColumn(rates) => {
+                assert_eq!(
+                    rates.len(),
+                    columns,
+                    "one learning rate per column of the parameter"
+                );
+                let row: Vec<T> = rates.iter().map(|rate| T::of(*rate)).collect();
+                row.repeat(rows)
+            }
+        }
+    }
+}
+
+/// Adam's moments of one parameter [N, C] and the number of steps taken.
+#[derive(Clone, Debug)]
+pub struct AdamState {
+    /// Running mean of the gradient, [N, C], on a device without autodiff.
+    pub moment1: Tensor<2>,
+    /// Running mean of the squared gradient, [N, C], on a device without autodiff.
+    pub moment2: Tensor<2>,
+    /// Steps taken; shared by all rows, also those added later (as in 3D Gaussian Splatting).
+    pub steps: u32,
+}
+
+impl AdamState {
+    /// Zero moments for `param`, [N, C].
+    #[must_use]
+    pub fn new(param: &Tensor<2>) -> Self {
+        let zeros = Tensor::zeros(param.dims(), (&param.device().inner(), param.dtype()));
+        Self {
+            moment1: zeros.clone(),
+            moment2: zeros,
+            steps: 0,
+        }
+    }
+
+    /// Follows an edit of the parameter's rows: kept rows keep their moments, new rows start at zero.
+    pub fn gather(&mut self, edit: &RowEdit) {
+        let device = self.moment1.device();
+        let kept: Vec<f32> = edit
+            .kind
+            .iter()
+            .map(|kind| f32::from(u8::from(*kind == RowKind::Kept)))
+            .collect();
+        let kept = Tensor::<2>::from_data(
+            TensorData::new(kept, [edit.len(), 1]),
+            (&device, self.moment1.dtype()),
+        );
+        self.moment1 = gather_rows(&self.moment1, edit) * kept.clone();
+        self.moment2 = gather_rows(&self.moment2, edit) * kept;
+    }
+
+    /// Forgets the moments, as after an opacity reset. The step count stays.
+    pub fn zero_moments(&mut self) {
+        self.moment1 = self.moment1.zeros_like();
+        self.moment2 = self.moment2.zeros_like();
+    }
+}
+
+/// A gradient that is infinite or not a number.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("the gradient at row {row}, column {column} is {value}")]
+pub struct NonFiniteGradient {
+    /// Row of the parameter.
+    pub row: usize,
+    /// Column of the parameter.
+    pub column: usize,
+    /// The value found.
+    pub value: f64,
+}
+
+/// One step of Adam on `param` [N, C], in place: afterwards it is a new leaf that requires its gradient if it was on
+/// an autodiff device, a plain tensor otherwise.
+///
+/// `grad` [N, C] is what `param.grad_remove(..)` gives. No graph is recorded. An element whose gradient is
+/// zero and whose moments are zero does not move. Magnitudes above 1e15 count as 1e15. Without other handles to
+/// `param` its buffer is reused.
+///
+/// # Errors
+/// [`NonFiniteGradient`] names the first such element; nothing has been changed then.
+///
+/// # Panics
+/// Panics if the shapes or dtypes of `param`, `grad` and `state` differ, or if the number of learning rates is
+/// not the number of columns.
+pub fn adam_step(
+    param: &mut Tensor<2>,
+    grad: Tensor<2>,
+    state: &mut AdamState,
+    rate: &LearningRate,
+    options: &AdamOptions,
+) -> Result<(), NonFiniteGradient> {
+    let shape = param.dims();
+    assert_eq!(shape, grad.dims(), "a gradient has its parameter's shape");
+    assert_eq!(
+        shape,
+        state.moment1.dims(),
+        "the moments have their parameter's shape: row edits must reach the state too"
+    );
+    let autodiff = param.is_autodiff();
+    let (device, dtype) = (param.device().inner(), param.dtype());
+    with_real!(dtype, T => {
+        let grad = values::<T, 2>(grad);
+        if let Some(at) = grad.iter().position(|g| !g.finite()) {
+            return Err(NonFiniteGradient {
+                row: at / shape[1],
+                column: at % shape[1],
+                value: grad[at].wide(),
+            });
+        }
+        // What stays behind must not hold the buffer, or it would be copied.
+        let take = |tensor: &mut Tensor<2>| {
+            let placeholder = Tensor::zeros([1, 1], (&device, dtype));
+            values::<T, 2>(std::mem::replace(tensor, placeholder))
+        };
+        let mut m = take(&mut state.moment1);
+        let mut v = take(&mut state.moment2);
+        let mut p = take(param);
+        let tile = rate.tile::<T>(shape[1]);
+        state.steps += 1;
+        update(&mut p, &grad, &mut m, &mut v, &tile, state.steps, options);
+        let tensor = |values: Vec<T>| {
+            Tensor::from_data(TensorData::new(values, shape), (&device, dtype))
+        };
+        state.moment1 = tensor(m);
+        state.moment2 = tensor(v);
+        *param = leaf(tensor(p), autodiff);
+    });
+    Ok(())
+}
+
+/// The update on slices; `tile` holds the learning rates of whole rows and is repeated.
+fn update<T: Real>(
+    param: &mut [T],
+    grad: &[T],
+    moment1: &mut [T],
+    moment2: &mut [T],
+    tile: &[T],
+    steps: u32,
+    options: &AdamOptions,
+) {
+    if param.is_empty() {
+        return;
+    }
+    let correction = |beta: f64| 1.0 - beta.powf(f64::from(steps));
+    let first = T::of(1.0 / correction(options.beta1));
+    let second = T::of(1.0 / correction(options.beta2).sqrt());
+    let [b1, b2] = [options.beta1, options.beta2].map(T::of);
+    let [c1, c2] = [1.0 - options.beta1, 1.0 - options.beta2].map(T::of);
+    let epsilon = T::of(options.epsilon);
+    let (limit, small1, small2) = (
+        T::of(LARGEST_GRADIENT),
+        T::of(SMALLEST_FIRST),
+        T::of(SMALLEST_SECOND),
+    );
+    let zero = T::default();
+    let block = (BLOCK / tile.len()).max(1) * tile.len();
+    param
+        .par_chunks_mut(block)
+        .zip(grad.par_chunks(block))
+        .zip(moment1.par_chunks_mut(block))
+        .zip(moment2.par_chunks_mut(block))
+        .for_each(|(((param, grad), moment1), moment2)| {
+            for (((param, grad), moment1), moment2) in param
+                .chunks_mut(tile.len())
+                .zip(grad.chunks(tile.len()))
+                .zip(moment1.chunks_mut(tile.len()))
+                .zip(moment2.chunks_mut(tile.len()))
+            {
+                for ((((p, g), m), v), rate) in param
+                    .iter_mut()
+                    .zip(grad)
+                    .zip(moment1)
+                    .zip(moment2)
+                    .zip(tile)
+                {
+                    let g = if *g > limit { limit } else { *g };
+                    let g = if g < -limit { -limit } else { g };
+                    let first_moment = b1 * *m + c1 * g;
+                    let second_moment = b2 * *v + c2 * (g * g);
+                    let first_moment = if first_moment.magnitude() < small1 {
+                        zero
+                    } else {
+                        first_moment
+                    };
+                    let second_moment = if second_moment < small2 {
+                        zero
+                    } else {
+                        second_moment
+                    };
+                    *m = first_moment;
+                    *v = second_moment;
+                    let root = second_moment.root() * second + epsilon;
+                    *p = *p - *rate * (first_moment * first / root);
+                }
+            }
+        });
+}

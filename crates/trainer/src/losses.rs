@@ -1,0 +1,62 @@
+//! Losses on tensors. Each is a scalar of shape [1] and differentiable in its first tensor; what is
+//! selected, trimmed or fitted is decided on detached values.
+
+mod depth;
+mod mask;
+mod ssim;
+
+pub use depth::{DisparityFit, depth_loss, fit_disparity};
+pub use mask::{mask_band, mask_loss};
+pub use ssim::ssim;
+pub(crate) use ssim::{WINDOW_EDGE, ssim_map};
+
+use burn::tensor::Tensor;
+
+/// Mean absolute difference of two pictures.
+#[must_use]
+pub fn l1<const D: usize>(a: Tensor<D>, b: Tensor<D>) -> Tensor<1> {
+    (a - b).abs().mean()
+}
+
+/// The image loss of 3D Gaussian Splatting: `(1 - beta) L1 + beta (1 - SSIM)`, with `beta` 0.2 by default.
+///
+/// `render` and `target` are [H, W, 3]; `target` is data and gets no gradient from the SSIM.
+#[must_use]
+pub fn photometric(render: Tensor<3>, target: Tensor<3>, beta: f64) -> Tensor<1> {
+    let similarity = ssim(render.clone(), &target);
+    l1(render, target) * (1.0 - beta) + (similarity * -1.0 + 1.0) * beta
+}
+
+/// L1 between the sharp render and the blurry frame after both are averaged over blocks of `factor` x `factor` pixels.
+///
+/// Both are [H, W, 3]. Rows and columns that fill no block are left out; a picture smaller than one block is averaged whole.
+///
+/// # Panics
+/// Panics if `factor` is zero or the pictures differ in shape.
+#[must_use]
+pub fn downsample_loss(sharp: Tensor<3>, blurry: Tensor<3>, factor: usize) -> Tensor<1> {
+    assert!(factor > 0, "a block has at least one pixel");
+    let [height, width, channels] = sharp.dims();
+    assert_eq!(
+        blurry.dims(),
+        [height, width, channels],
+        "two pictures of one size"
+    );
+    let (block_h, block_w) = (factor.min(height), factor.min(width));
+    let (rows, columns) = (height / block_h, width / block_w);
+    // Averaging is linear: one pass over the difference.
+    (sharp - blurry)
+        .slice([0..rows * block_h, 0..columns * block_w])
+        .reshape([rows, block_h, columns, block_w * channels])
+        .mean_dim(1)
+        .reshape([rows * columns, block_w, channels])
+        .mean_dim(1)
+        .abs()
+        .mean()
+}
+
+/// Mean blur intensity, which draws the intensities to "sharp".
+#[must_use]
+pub fn intensity_penalty<const D: usize>(intensity: Tensor<D>) -> Tensor<1> {
+    intensity.mean()
+}

@@ -1,0 +1,143 @@
+//! The depth loss: L1 on disparity, after the estimator's scale and shift are taken out.
+
+use crate::real::{constant_like, wide_values, with_real};
+use burn::tensor::Tensor;
+
+/// Pixels with a rendered alpha up to this have no depth worth comparing.
+const OPAQUE: f64 = 0.5;
+
+/// Depths below this part of the scene size count as this much before they are inverted.
+const NEAREST: f64 = 0.05;
+
+/// Below this many pixels no scale and shift are fitted.
+const FEWEST: usize = 32;
+
+/// More pixels than this do not make the fit better: an even sample is taken.
+const SAMPLE: usize = 8192;
+
+/// A fit with a scale beyond this factor, either way, is not believed.
+const LARGEST_SCALE: f64 = 2.0;
+
+/// Residuals up to this, in disparity times S, weigh in full; larger ones as in L1.
+const TOLERANCE: f64 = 0.01;
+
+/// The disparity that an estimator should have given is `scale * given + shift`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DisparityFit {
+    /// Factor.
+    pub scale: f64,
+    /// Added after it, in the disparity's unit.
+    pub shift: f64,
+}
+
+impl DisparityFit {
+    /// Leaves disparities as they are.
+    pub const IDENTITY: Self = Self {
+        scale: 1.0,
+        shift: 0.0,
+    };
+}
+
+/// Robust scale and shift that bring `given` to `wanted`, disparities times the scene size S of the same pixels.
+///
+/// Weighted means and standard deviations of both are made equal (closed form, and symmetric: least squares would shrink
+/// the scene's relief a little every time it is asked), with weights 1 / max(residual, 0.01) from the fit before.
+/// With fewer than 32 pixels, without relief (constant depth), where the two do not go together (correlation under a half)
+/// or if the scale leaves [0.5, 2], nothing can be learned: [`DisparityFit::IDENTITY`].
+///
+/// # Panics
+/// Panics if the lengths differ.
+#[must_use]
+pub fn fit_disparity(given: &[f64], wanted: &[f64]) -> DisparityFit {
+    assert_eq!(given.len(), wanted.len(), "disparities of the same pixels");
+    if given.len() < FEWEST {
+        return DisparityFit::IDENTITY;
+    }
+    let stride = given.len().div_ceil(SAMPLE);
+    let pairs = || given.iter().zip(wanted).step_by(stride);
+    let mut fit = DisparityFit::IDENTITY;
+    for _ in 0..10 {
+        let weight = |x: f64, y: f64| 1.0 / (y - fit.scale * x - fit.shift).abs().max(TOLERANCE);
+        let (mut sum, mut mean_x, mut mean_y) = (0.0, 0.0, 0.0);
+        for (x, y) in pairs() {
+            let w = weight(*x, *y);
+            sum += w;
+            mean_x += w * x;
+            mean_y += w * y;
+        }
+        (mean_x, mean_y) = (mean_x / sum, mean_y / sum);
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for (x, y) in pairs() {
+            let (w, x, y) = (weight(*x, *y), x - mean_x, y - mean_y);
+            xx += w * x * x;
+            xy += w * x * y;
+            yy += w * y * y;
+        }
+        // A relative spread under a thousandth of the disparity is rounding, not relief.
+        let flat = xx <= 1e-6 * sum * mean_x * mean_x || yy <= 1e-6 * sum * mean_y * mean_y;
+        let scale = (yy / xx).sqrt();
+        if flat
+            || xy < 0.5 * (xx * yy).sqrt()
+            || !(1.0 / LARGEST_SCALE..=LARGEST_SCALE).contains(&scale)
+        {
+            return DisparityFit::IDENTITY;
+        }
+        fit = DisparityFit {
+            scale,
+            shift: mean_y - scale * mean_x,
+        };
+    }
+    fit
+}
+
+/// L1 between rendered and given disparity, times the scene size S; shape [1].
+///
+/// `depth` [H, W] is Σ z α T and `alpha` [H, W] is Σ α T of the render, `given` [H, W] the depth of the input (scene units), zero,
+/// negative or infinite where it is missing. The rendered depth is depth / alpha with alpha detached, so the gradient
+/// goes to `depth` alone. Only pixels with alpha above 0.5 and a given depth count; depths have a floor of
+/// 0.05 S. The given disparities are first brought to the rendered ones by [`fit_disparity`]. Zero where no pixel counts.
+///
+/// # Panics
+/// Panics if the sizes do not agree.
+#[must_use]
+pub fn depth_loss(
+    depth: Tensor<2>,
+    alpha: &Tensor<2>,
+    given: &[f32],
+    scene_size: f64,
+) -> Tensor<1> {
+    assert_eq!(depth.dims(), alpha.dims(), "depth and alpha of one render");
+    let [height, width] = depth.dims();
+    assert_eq!(given.len(), height * width, "one given depth per pixel");
+    let nearest = NEAREST * scene_size;
+    let disparity = |depth: f64| scene_size / depth.max(nearest);
+
+    let (depths, alphas) = (wide_values(&depth), wide_values(alpha));
+    let counted: Vec<usize> = (0..given.len())
+        .filter(|k| alphas[*k] > OPAQUE && given[*k] > 0.0 && given[*k].is_finite())
+        .collect();
+    let known: Vec<f64> = counted
+        .iter()
+        .map(|k| disparity(f64::from(given[*k])))
+        .collect();
+    let rendered: Vec<f64> = counted
+        .iter()
+        .map(|k| disparity(depths[*k] / alphas[*k]))
+        .collect();
+    let fit = fit_disparity(&known, &rendered);
+
+    let pixels = given.len();
+    let (mut per_alpha, mut wanted, mut weight) =
+        (vec![0.0; pixels], vec![0.0; pixels], vec![0.0; pixels]);
+    for (k, known) in counted.iter().zip(&known) {
+        per_alpha[*k] = 1.0 / alphas[*k];
+        wanted[*k] = fit.scale * known + fit.shift;
+        weight[*k] = 1.0 / counted.len() as f64;
+    }
+    let like = depth.clone().inner();
+    let [per_alpha, wanted, weight] = with_real!(like.dtype(), T => [per_alpha, wanted, weight]
+        .map(|values| constant_like(values.into_iter().map(|v| v as T).collect(), &like)));
+    // Pixels that do not count get the floor's disparity and a weight of zero.
+    let rendered = (depth * per_alpha).clamp_min(nearest).recip() * scene_size;
+    ((rendered - wanted).abs() * weight).sum()
+}

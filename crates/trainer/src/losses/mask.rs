@@ -1,0 +1,92 @@
+//! The dynamic mask's loss.
+
+use crate::real::{constant_like, wide_values, with_real};
+use burn::tensor::Tensor;
+
+/// The share of pixels, inside and outside the mask each, that the trimmed loss keeps at least.
+const KEPT: f64 = 0.98;
+
+/// The band's width in pixels for a picture of this width: 2 at 256, in proportion, at least 1.
+#[must_use]
+pub fn mask_band(width: usize) -> usize {
+    ((width + 64) / 128).max(1)
+}
+
+/// Trimmed L1 between the rendered dynamic mask and the given one, both [H, W].
+///
+/// Pixels within `band` pixels (in rows and columns) of the edge between inside (`target` above 0.5) and outside
+/// carry no loss: blurred movers spill over it. Of the others the largest errors are left out, those above the 98 % quantile,
+/// inside and outside **each by itself**: a mover under 2 % of the picture would otherwise have no loss.
+/// The result is the mean over what is kept; zero where nothing is. Shape [1].
+///
+/// # Panics
+/// Panics if `target` does not have H W entries.
+#[must_use]
+pub fn mask_loss(rendered: Tensor<2>, target: &[f32], band: usize) -> Tensor<1> {
+    let [height, width] = rendered.dims();
+    assert_eq!(
+        target.len(),
+        height * width,
+        "one target per rendered pixel"
+    );
+    let errors: Vec<f64> = wide_values(&rendered)
+        .iter()
+        .zip(target)
+        .map(|(r, t)| (r - f64::from(*t)).abs())
+        .collect();
+    let near = sides_within(target, width, height, band);
+    let mut kept = vec![false; errors.len()];
+    for side in [INSIDE, OUTSIDE] {
+        let candidates: Vec<usize> = (0..errors.len()).filter(|k| near[*k] == side).collect();
+        if let Some(limit) = quantile(candidates.iter().map(|k| errors[*k]).collect()) {
+            for k in candidates {
+                kept[k] = errors[k] <= limit;
+            }
+        }
+    }
+    let count = kept.iter().filter(|kept| **kept).count().max(1);
+    let known = rendered.clone().inner();
+    let (target, weight) = with_real!(known.dtype(), T => (
+        constant_like(target.iter().map(|t| *t as T).collect(), &known),
+        constant_like(
+            kept.iter().map(|kept| if *kept { 1.0 / count as T } else { 0.0 }).collect(),
+            &known,
+        ),
+    ));
+    ((rendered - target).abs() * weight).sum()
+}
+
+const INSIDE: u8 = 1;
+const OUTSIDE: u8 = 2;
+
+/// Which sides of the mask occur within `band` pixels of each pixel: bits, [H, W].
+fn sides_within(target: &[f32], width: usize, height: usize, band: usize) -> Vec<u8> {
+    let side: Vec<u8> = target
+        .iter()
+        .map(|t| if *t > 0.5 { INSIDE } else { OUTSIDE })
+        .collect();
+    let mut along_rows = vec![0; side.len()];
+    let mut out = vec![0; side.len()];
+    for y in 0..height {
+        for x in 0..width {
+            let from = y * width + x.saturating_sub(band);
+            let to = y * width + (x + band + 1).min(width);
+            along_rows[y * width + x] = side[from..to].iter().fold(0, |bits, side| bits | side);
+        }
+    }
+    for y in 0..height {
+        for source in y.saturating_sub(band)..(y + band + 1).min(height) {
+            for x in 0..width {
+                out[y * width + x] |= along_rows[source * width + x];
+            }
+        }
+    }
+    out
+}
+
+/// The largest value that is at most the 98 % quantile; `None` of nothing.
+fn quantile(mut values: Vec<f64>) -> Option<f64> {
+    let last = values.len().checked_sub(1)?;
+    let place = (KEPT * last as f64).floor() as usize;
+    Some(*values.select_nth_unstable_by(place, f64::total_cmp).1)
+}

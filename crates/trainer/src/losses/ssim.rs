@@ -1,0 +1,258 @@
+//! Structural similarity (Wang et al., 2004) and its gradient, on slices.
+//!
+//! With G the Gaussian window and * convolution: m = G * a, n = G * b, p = G * a², q = G * b², r = G * ab;
+//! SSIM = (2 m n + C1) (2 (r - m n) + C2) / ((m² + n² + C1) (p - m² + q - n² + C2)).
+//! The window is symmetric, so the gradient of Σ SSIM by a is G * ∂m + 2 a (G * ∂p) + b (G * ∂r), with ∂ the partial
+//! derivatives of one pixel's SSIM by its statistics.
+
+use crate::real::{Real, constant_like, values, with_real};
+use burn::tensor::Tensor;
+use rayon::prelude::*;
+
+/// Pixels between the window's centre and its edge.
+pub(crate) const WINDOW_EDGE: usize = 5;
+const TAPS: usize = 2 * WINDOW_EDGE + 1;
+const SIGMA: f64 = 1.5;
+const C1: f64 = 1e-4;
+const C2: f64 = 9e-4;
+
+/// What is kept of every pixel and channel: SSIM and its derivatives by m, p and r.
+const LANES: usize = 4;
+
+/// Mean SSIM of two pictures [H, W, 3]: 11x11 Gaussian window of sigma 1.5, zeros outside the picture, C1 = 0.01²,
+/// C2 = 0.03², mean over pixels and channels. Shape [1].
+///
+/// Differentiable in `a`; `b` is data. The gradient is computed together with the value, and only if `a` is tracked.
+///
+/// # Panics
+/// Panics if the shapes differ, if there are not three channels, or if the dtypes differ.
+#[must_use]
+pub fn ssim(a: Tensor<3>, b: &Tensor<3>) -> Tensor<1> {
+    let [height, width, channels] = a.dims();
+    assert_eq!(
+        b.dims(),
+        [height, width, channels],
+        "two pictures of one size"
+    );
+    assert_eq!(channels, CHANNELS, "pictures have three channels");
+    let count = (height * width * channels) as f64;
+    with_real!(a.dtype(), T => {
+        let (a_values, b_values) = (values::<T, 3>(a.clone()), values::<T, 3>(b.clone()));
+        let pixels = lanes(&a_values, &b_values, width, height);
+        let value = sum_first_lane(&pixels, width) / count;
+        let known = a.clone().inner();
+        if !a.is_tracked() {
+            return Tensor::full([1], value, (&a.device(), a.dtype()));
+        }
+        let grad = gradient(&a_values, &b_values, &pixels, width, height, T::of(1.0 / count));
+        // Linear in `a` around its present value: this value, and this gradient.
+        ((a - known.clone()) * constant_like(grad, &known)).sum() + value
+    })
+}
+
+const CHANNELS: usize = 3;
+
+/// SSIM of every pixel and channel, [H, W, 3], with zeros outside the picture.
+pub(crate) fn ssim_map<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
+    let row = width * CHANNELS;
+    lanes(a, b, width, height)
+        .chunks_exact(LANES * row)
+        .flat_map(|lanes| &lanes[..row])
+        .copied()
+        .collect()
+}
+
+/// The normalised window along one axis.
+fn window<T: Real>() -> [T; TAPS] {
+    let weight = |k: usize| {
+        let x = k as f64 - WINDOW_EDGE as f64;
+        (-x * x / (2.0 * SIGMA * SIGMA)).exp()
+    };
+    let sum: f64 = (0..TAPS).map(weight).sum();
+    std::array::from_fn(|k| T::of(weight(k) / sum))
+}
+
+/// The taps of the window whose rows lie in the picture when it is centred on `y`, with these rows.
+fn rows_under(y: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..TAPS).filter_map(move |tap| {
+        let row = (y + tap).checked_sub(WINDOW_EDGE)?;
+        (row < height).then_some((tap, row))
+    })
+}
+
+/// Convolves a row that has zeros of the window's half-width on either side.
+#[inline(always)]
+fn along_row<T: Real>(padded: &[T], weights: &[T; TAPS], out: &mut [T]) {
+    let length = out.len();
+    out.fill(T::default());
+    for (tap, weight) in weights.iter().enumerate() {
+        for (o, v) in out.iter_mut().zip(&padded[tap * CHANNELS..][..length]) {
+            *o += *weight * *v;
+        }
+    }
+}
+
+/// SSIM, ∂m, ∂p and ∂r, [H, 4, W * 3].
+fn lanes<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
+    let row = width * CHANNELS;
+    let pad = WINDOW_EDGE * CHANNELS;
+    let weights = window::<T>();
+    let mut out = vec![T::default(); height * LANES * row];
+    if row == 0 {
+        return out;
+    }
+    out.par_chunks_exact_mut(LANES * row)
+        .enumerate()
+        .for_each_init(
+            || {
+                (
+                    vec![T::default(); 5 * (row + 2 * pad)],
+                    vec![T::default(); 5 * row],
+                )
+            },
+            |(padded, statistics), (y, out)| {
+                padded.fill(T::default());
+                {
+                    let mut parts = padded.chunks_exact_mut(row + 2 * pad);
+                    let [m, n, p, q, r] = std::array::from_fn(|_| {
+                        &mut parts.next().expect("five statistics")[pad..pad + row]
+                    });
+                    for (tap, source) in rows_under(y, height) {
+                        let weight = weights[tap];
+                        let (a, b) = (&a[source * row..][..row], &b[source * row..][..row]);
+                        for ((((((a, b), m), n), p), q), r) in a
+                            .iter()
+                            .zip(b)
+                            .zip(&mut *m)
+                            .zip(&mut *n)
+                            .zip(&mut *p)
+                            .zip(&mut *q)
+                            .zip(&mut *r)
+                        {
+                            let (wa, wb) = (weight * *a, weight * *b);
+                            *m += wa;
+                            *n += wb;
+                            *p += wa * *a;
+                            *q += wb * *b;
+                            *r += wa * *b;
+                        }
+                    }
+                }
+                for (padded, out) in padded
+                    .chunks_exact(row + 2 * pad)
+                    .zip(statistics.chunks_exact_mut(row))
+                {
+                    along_row(padded, &weights, out);
+                }
+                let mut parts = statistics.chunks_exact(row);
+                let [m, n, p, q, r] =
+                    std::array::from_fn(|_| parts.next().expect("five statistics"));
+                let mut parts = out.chunks_exact_mut(row);
+                let [s, dm, dp, dr] = std::array::from_fn(|_| parts.next().expect("four lanes"));
+                for k in 0..row {
+                    let similarity = Similarity::new(m[k], n[k], p[k], q[k], r[k]);
+                    s[k] = similarity.value;
+                    dm[k] = similarity.by_m;
+                    dp[k] = similarity.by_p;
+                    dr[k] = similarity.by_r;
+                }
+            },
+        );
+    out
+}
+
+/// SSIM of one pixel and channel, with its derivatives by m, p and r.
+struct Similarity<T> {
+    value: T,
+    by_m: T,
+    by_p: T,
+    by_r: T,
+}
+
+impl<T: Real> Similarity<T> {
+    #[inline(always)]
+    fn new(m: T, n: T, p: T, q: T, r: T) -> Self {
+        let two = T::of(2.0);
+        let positive = |v: T| if v > T::default() { v } else { T::default() };
+        // Variances are not negative, but rounding can make them so where a picture is bright and flat.
+        let variances = positive(p - m * m) + positive(q - n * n);
+        let means = two * m * n + T::of(C1);
+        let covariance = two * (r - m * n) + T::of(C2);
+        let below_means = T::of(1.0) / (m * m + n * n + T::of(C1));
+        let below_variances = T::of(1.0) / (variances + T::of(C2));
+        let below = below_means * below_variances;
+        let value = means * covariance * below;
+        Self {
+            value,
+            by_m: two * n * (covariance - means) * below
+                - two * m * value * (below_means - below_variances),
+            by_p: -value * below_variances,
+            by_r: two * means * below,
+        }
+    }
+}
+
+/// The gradient by `a` of `scale` times the sum of SSIM, [H, W, 3].
+fn gradient<T: Real>(
+    a: &[T],
+    b: &[T],
+    pixels: &[T],
+    width: usize,
+    height: usize,
+    scale: T,
+) -> Vec<T> {
+    let row = width * CHANNELS;
+    let pad = WINDOW_EDGE * CHANNELS;
+    let weights = window::<T>();
+    let mut out = vec![T::default(); a.len()];
+    if row == 0 {
+        return out;
+    }
+    out.par_chunks_exact_mut(row).enumerate().for_each_init(
+        || {
+            (
+                vec![T::default(); 3 * (row + 2 * pad)],
+                vec![T::default(); 3 * row],
+            )
+        },
+        |(padded, blurred), (y, out)| {
+            padded.fill(T::default());
+            for (tap, source) in rows_under(y, height) {
+                let partials = &pixels[source * LANES * row..][row..LANES * row];
+                for (padded, partial) in padded
+                    .chunks_exact_mut(row + 2 * pad)
+                    .zip(partials.chunks_exact(row))
+                {
+                    for (o, v) in padded[pad..].iter_mut().zip(partial) {
+                        *o += weights[tap] * *v;
+                    }
+                }
+            }
+            for (padded, out) in padded
+                .chunks_exact(row + 2 * pad)
+                .zip(blurred.chunks_exact_mut(row))
+            {
+                along_row(padded, &weights, out);
+            }
+            let (dm, rest) = blurred.split_at(row);
+            let (dp, dr) = rest.split_at(row);
+            let (a, b) = (&a[y * row..][..row], &b[y * row..][..row]);
+            for k in 0..row {
+                out[k] = scale * (dm[k] + T::of(2.0) * a[k] * dp[k] + b[k] * dr[k]);
+            }
+        },
+    );
+    out
+}
+
+/// Row by row, so that the order of the sum does not depend on threads.
+fn sum_first_lane<T: Real>(pixels: &[T], width: usize) -> f64 {
+    let row = width * CHANNELS;
+    if row == 0 {
+        return 0.0;
+    }
+    pixels
+        .chunks_exact(LANES * row)
+        .map(|lanes| lanes[..row].iter().map(|v| v.wide()).sum::<f64>())
+        .sum()
+}
