@@ -1,0 +1,354 @@
+use burn::tensor::{DType, Device, Tensor, activation};
+
+use crate::encoding::{ENCODING_CHANNELS, positional_encoding};
+use crate::extractor::{FEATURE_CHANNELS, INPUT_CHANNELS, features};
+use crate::init::Initializer;
+use crate::{BlurField, BpNetError};
+
+/// Channels of the camera embedding, one row per training frame.
+pub const EMBEDDING_CHANNELS: usize = 32;
+/// Channels of BP-Net's hidden layers.
+pub const HIDDEN_CHANNELS: usize = 64;
+
+/// What a blur model is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BpNetConfig {
+    /// Side K of the blur kernels in pixels; odd, 1 to 15.
+    pub kernel_size: usize,
+    /// Training frames, each of which gets a camera embedding.
+    pub num_frames: usize,
+    /// Whether the scene features are joined to the outputs of the first two layers as well.
+    pub shortcut: bool,
+    /// How the two heads start.
+    pub head: HeadInit,
+    /// Seed of all random starting values.
+    pub seed: u64,
+}
+
+/// How BP-Net's heads start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HeadInit {
+    /// A mild blur: the kernel's bias is the logits of a Gaussian of sigma 1 px, the intensity's is 0
+    /// (m = 0.5), the heads' weights are a tenth of the usual. A delta kernel together with m = 0
+    /// would be a saddle, from which neither moves.
+    Mild,
+    /// As a framework initialises any layer.
+    Framework,
+}
+
+/// Whether the scene feature extractor learns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extractor {
+    /// It does.
+    Trained,
+    /// It stays as it was drawn: no graph is built for it. (So it is in the reference code.)
+    Frozen,
+}
+
+/// What the blur model looks at. Nothing flows back into it: all three are detached.
+#[derive(Clone, Debug)]
+pub struct BlurInputs {
+    /// Sharp render, `[H, W, 3]`, sRGB.
+    pub color: Tensor<3>,
+    /// Disparity times the scene size, `[H, W]`, without unit.
+    pub disparity: Tensor<2>,
+    /// Dynamic mask, `[H, W]`.
+    pub mask: Tensor<2>,
+}
+
+/// The blur model of a scene: scene feature extractor, camera embedding and blur prediction network.
+///
+/// The extractor turns colour, disparity and mask into 32 features per pixel. BP-Net is four layers
+/// of 1x1 convolutions on camera embedding (32), positional encoding (16) and features (32); the
+/// features are joined to the outputs of its first two layers again, and its last layer is the
+/// kernel's and the intensity's head.
+///
+/// All parameters are matrices: weights of the extractor's convolutions `[out, in * k * k]`, of 1x1
+/// layers `[in, out]`, biases `[1, out]`.
+#[derive(Clone, Debug)]
+pub struct BpNet {
+    kernel_size: usize,
+    shortcut: bool,
+    extractor: [Layer; 3],
+    embedding: Tensor<2>,
+    base: [Layer; 3],
+    kernel_head: Layer,
+    intensity_head: Layer,
+}
+
+/// Weight and bias of one layer.
+#[derive(Clone, Debug)]
+pub(crate) struct Layer {
+    pub(crate) weight: Tensor<2>,
+    pub(crate) bias: Tensor<2>,
+}
+
+impl Layer {
+    /// The layer without its gradient.
+    pub(crate) fn detached(&self) -> Self {
+        Self {
+            weight: constant(self.weight.clone()),
+            bias: constant(self.bias.clone()),
+        }
+    }
+
+    fn dense(
+        init: &Initializer<'_>,
+        stream: u64,
+        inputs: usize,
+        outputs: usize,
+        scale: f64,
+    ) -> Self {
+        Self {
+            weight: init.uniform(stream, [inputs, outputs], inputs, scale),
+            bias: init.uniform(stream + 1, [1, outputs], inputs, 1.0),
+        }
+    }
+
+    fn conv(init: &Initializer<'_>, stream: u64, inputs: usize, outputs: usize) -> Self {
+        Self {
+            weight: init.uniform(stream, [outputs, inputs], inputs, 1.0),
+            bias: init.uniform(stream + 1, [1, outputs], inputs, 1.0),
+        }
+    }
+}
+
+impl BpNet {
+    /// A blur model with random starting values, drawn from `config.seed` alone.
+    ///
+    /// On an autodiff device the parameters require gradients.
+    ///
+    /// # Errors
+    /// [`BpNetError`] for an even or too large kernel, no frames, or a `dtype` other than f32 and f64.
+    pub fn new(config: &BpNetConfig, device: &Device, dtype: DType) -> Result<Self, BpNetError> {
+        BpNetError::check_kernel_size(config.kernel_size)?;
+        BpNetError::check_dtype("the blur model's parameters", dtype)?;
+        if config.num_frames == 0 {
+            return Err(BpNetError::NoFrames);
+        }
+        let init = Initializer {
+            seed: config.seed,
+            device,
+            dtype,
+        };
+        let joined = HIDDEN_CHANNELS + if config.shortcut { FEATURE_CHANNELS } else { 0 };
+        let first = EMBEDDING_CHANNELS + ENCODING_CHANNELS + FEATURE_CHANNELS;
+        let entries = config.kernel_size * config.kernel_size;
+        let head_scale = match config.head {
+            HeadInit::Mild => 0.1,
+            HeadInit::Framework => 1.0,
+        };
+        let mut kernel_head = Layer::dense(&init, 12, HIDDEN_CHANNELS, entries, head_scale);
+        let mut intensity_head = Layer::dense(&init, 14, HIDDEN_CHANNELS, 1, head_scale);
+        if config.head == HeadInit::Mild {
+            kernel_head.bias = init.parameter(gaussian_logits(config.kernel_size), [1, entries]);
+            intensity_head.bias = init.parameter(vec![0.0], [1, 1]);
+        }
+        Ok(Self {
+            kernel_size: config.kernel_size,
+            shortcut: config.shortcut,
+            extractor: [
+                Layer::conv(&init, 0, INPUT_CHANNELS * 25, HIDDEN_CHANNELS),
+                Layer::conv(&init, 2, HIDDEN_CHANNELS * 25, HIDDEN_CHANNELS),
+                Layer::conv(&init, 4, HIDDEN_CHANNELS * 9, FEATURE_CHANNELS),
+            ],
+            embedding: init.normal(16, [config.num_frames, EMBEDDING_CHANNELS]),
+            base: [
+                Layer::dense(&init, 6, first, HIDDEN_CHANNELS, 1.0),
+                Layer::dense(&init, 8, joined, HIDDEN_CHANNELS, 1.0),
+                Layer::dense(&init, 10, joined, HIDDEN_CHANNELS, 1.0),
+            ],
+            kernel_head,
+            intensity_head,
+        })
+    }
+
+    /// Side K of the predicted kernels in pixels.
+    #[must_use]
+    pub fn kernel_size(&self) -> usize {
+        self.kernel_size
+    }
+
+    /// Training frames with a camera embedding.
+    #[must_use]
+    pub fn num_frames(&self) -> usize {
+        self.embedding.dims()[0]
+    }
+
+    /// All parameters with their names, in a fixed order.
+    #[must_use]
+    pub fn parameters(&self) -> Vec<(&'static str, Tensor<2>)> {
+        let [extractor1, extractor2, extractor3] = &self.extractor;
+        let [base0, base1, base2] = &self.base;
+        let tensors = [
+            &extractor1.weight,
+            &extractor1.bias,
+            &extractor2.weight,
+            &extractor2.bias,
+            &extractor3.weight,
+            &extractor3.bias,
+            &self.embedding,
+            &base0.weight,
+            &base0.bias,
+            &base1.weight,
+            &base1.bias,
+            &base2.weight,
+            &base2.bias,
+            &self.kernel_head.weight,
+            &self.kernel_head.bias,
+            &self.intensity_head.weight,
+            &self.intensity_head.bias,
+        ];
+        NAMES.into_iter().zip(tensors.map(Tensor::clone)).collect()
+    }
+
+    /// The same parameters to be replaced: after a step of an optimiser, or from a checkpoint. A
+    /// replacement keeps the shape and, where it is to be trained, requires a gradient.
+    pub fn parameters_mut(&mut self) -> Vec<(&'static str, &mut Tensor<2>)> {
+        let [extractor1, extractor2, extractor3] = &mut self.extractor;
+        let [base0, base1, base2] = &mut self.base;
+        let tensors = [
+            &mut extractor1.weight,
+            &mut extractor1.bias,
+            &mut extractor2.weight,
+            &mut extractor2.bias,
+            &mut extractor3.weight,
+            &mut extractor3.bias,
+            &mut self.embedding,
+            &mut base0.weight,
+            &mut base0.bias,
+            &mut base1.weight,
+            &mut base1.bias,
+            &mut base2.weight,
+            &mut base2.bias,
+            &mut self.kernel_head.weight,
+            &mut self.kernel_head.bias,
+            &mut self.intensity_head.weight,
+            &mut self.intensity_head.bias,
+        ];
+        NAMES.into_iter().zip(tensors).collect()
+    }
+
+    /// Whether the parameter of this name belongs to the scene feature extractor.
+    #[must_use]
+    pub fn is_extractor(name: &str) -> bool {
+        name.starts_with("extractor.")
+    }
+
+    /// Predicts how `frame` was blurred.
+    ///
+    /// # Errors
+    /// [`BpNetError`] when the inputs disagree in size, are not of the parameters' element type, or
+    /// `frame` has no embedding.
+    pub fn forward(
+        &self,
+        frame: usize,
+        inputs: &BlurInputs,
+        extractor: Extractor,
+    ) -> Result<BlurField, BpNetError> {
+        let [height, width] = self.check_inputs(frame, inputs)?;
+        let pixels = height * width;
+        let entries = self.kernel_size * self.kernel_size;
+        let (device, dtype) = (self.embedding.device(), self.embedding.dtype());
+
+        let scene = Tensor::cat(
+            vec![
+                constant(inputs.color.clone()).reshape([pixels, 3]),
+                constant(inputs.disparity.clone()).reshape([pixels, 1]),
+                constant(inputs.mask.clone()).reshape([pixels, 1]),
+            ],
+            1,
+        );
+        let features = match extractor {
+            Extractor::Trained => features(scene, [height, width], &self.extractor),
+            Extractor::Frozen => {
+                let layers = self.extractor.each_ref().map(Layer::detached);
+                features(scene, [height, width], &layers)
+            }
+        };
+
+        // The embedding is the same at every pixel: its product is one row, added like a bias.
+        let [first, second, third] = &self.base;
+        let varying = ENCODING_CHANNELS + FEATURE_CHANNELS;
+        let embedding = self.embedding.clone().narrow(0, frame, 1);
+        let row = embedding.matmul(first.weight.clone().narrow(0, 0, EMBEDDING_CHANNELS))
+            + first.bias.clone();
+        let encoding = positional_encoding([height, width], &device, dtype);
+        let weight = first.weight.clone().narrow(0, EMBEDDING_CHANNELS, varying);
+        let mut hidden =
+            activation::relu(Tensor::cat(vec![encoding, features.clone()], 1).matmul(weight) + row);
+        for layer in [second, third] {
+            if self.shortcut {
+                hidden = Tensor::cat(vec![hidden, features.clone()], 1);
+            }
+            hidden = activation::relu(hidden.matmul(layer.weight.clone()) + layer.bias.clone());
+        }
+        let logits =
+            hidden.clone().matmul(self.kernel_head.weight.clone()) + self.kernel_head.bias.clone();
+        let intensity =
+            hidden.matmul(self.intensity_head.weight.clone()) + self.intensity_head.bias.clone();
+        Ok(BlurField {
+            kernel: activation::softmax(logits, 1).reshape([height, width, entries]),
+            intensity: activation::sigmoid(intensity).reshape([height, width]),
+        })
+    }
+
+    fn check_inputs(&self, frame: usize, inputs: &BlurInputs) -> Result<[usize; 2], BpNetError> {
+        let num_frames = self.num_frames();
+        if frame >= num_frames {
+            return Err(BpNetError::Frame { frame, num_frames });
+        }
+        let BlurInputs {
+            color,
+            disparity,
+            mask,
+        } = inputs;
+        let [height, width, _] = color.dims();
+        BpNetError::check_shape("colour", &color.dims(), &[height, width, 3])?;
+        BpNetError::check_shape("disparity", &disparity.dims(), &[height, width])?;
+        BpNetError::check_shape("mask", &mask.dims(), &[height, width])?;
+        let dtype = self.embedding.dtype();
+        BpNetError::check_same_dtype("colour", color.dtype(), dtype)?;
+        BpNetError::check_same_dtype("disparity", disparity.dtype(), dtype)?;
+        BpNetError::check_same_dtype("mask", mask.dtype(), dtype)?;
+        Ok([height, width])
+    }
+}
+
+/// The tensor's values without its gradient. (Burn's `detach` alone turns a leaf that requires a
+/// gradient into another such leaf, and a graph is built again.)
+pub(crate) fn constant<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
+    tensor.detach().set_require_grad(false)
+}
+
+/// Names of the parameters, in the order of [`BpNet::parameters`].
+const NAMES: [&str; 17] = [
+    "extractor.conv1.weight",
+    "extractor.conv1.bias",
+    "extractor.conv2.weight",
+    "extractor.conv2.bias",
+    "extractor.conv3.weight",
+    "extractor.conv3.bias",
+    "embedding",
+    "base.0.weight",
+    "base.0.bias",
+    "base.1.weight",
+    "base.1.bias",
+    "base.2.weight",
+    "base.2.bias",
+    "head.kernel.weight",
+    "head.kernel.bias",
+    "head.intensity.weight",
+    "head.intensity.bias",
+];
+
+/// Logits of a Gaussian of sigma 1 px around the kernel's centre.
+fn gaussian_logits(kernel_size: usize) -> Vec<f64> {
+    let half = (kernel_size / 2) as f64;
+    (0..kernel_size * kernel_size)
+        .map(|j| {
+            let (x, y) = ((j % kernel_size) as f64, (j / kernel_size) as f64);
+            -0.5 * ((x - half).powi(2) + (y - half).powi(2))
+        })
+        .collect()
+}
