@@ -36,7 +36,7 @@ const ALONG_RAY_WEIGHT: f64 = 0.1;
 /// The camera of a frame, as plain values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitCamera {
-    /// Pose (OpenCV axes).
+    /// Pose; the camera looks along z, with x to the right and y down.
     pub cam_from_world: DAffine3,
     /// Focal length along x, in pixels.
     pub fx: f64,

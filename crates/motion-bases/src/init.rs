@@ -163,3 +163,239 @@ fn coefficients(tracks: &Tracks3d, canonical: usize, centers: &[DVec3], extent: 
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DQuat;
+
+    /// Tracks of points under a motion per point and frame; all visible.
+    fn tracks(
+        points: &[DVec3],
+        frames: usize,
+        at: impl Fn(usize, DVec3, f64) -> DVec3,
+    ) -> Tracks3d {
+        let count = points.len() * frames;
+        Tracks3d {
+            num_frames: frames,
+            positions: (0..count)
+                .map(|i| at(i / frames, points[i / frames], (i % frames) as f64))
+                .collect(),
+            visible: vec![true; count],
+            confidence: vec![1.0; count],
+            colors: vec![[0.5; 3]; points.len()],
+        }
+    }
+
+    fn grid(side: usize) -> Vec<DVec3> {
+        (0..side * side * 2)
+            .map(|i| {
+                DVec3::new(
+                    (i % side) as f64,
+                    (i / side % side) as f64,
+                    (i / side / side) as f64,
+                )
+            })
+            .collect()
+    }
+
+    fn options(num_bases: usize) -> InitOptions {
+        InitOptions { num_bases, seed: 3 }
+    }
+
+    fn motion(init: &MotionInit, basis: usize, frame: usize) -> DAffine3 {
+        let i = basis * init.tracks.num_frames + frame;
+        let six = &init.rots[6 * i..6 * i + 6];
+        let (x, y) = (DVec3::from_slice(&six[..3]), DVec3::from_slice(&six[3..]));
+        DAffine3 {
+            matrix3: glam::DMat3::from_cols(x, y, x.cross(y)),
+            translation: DVec3::from_slice(&init.transls[3 * i..3 * i + 3]),
+        }
+    }
+
+    #[test]
+    fn one_rigid_mover_is_recovered_and_starts_as_the_identity() {
+        let pivot = DVec3::new(2.0, 2.0, 40.0);
+        let turn = |t: f64| DQuat::from_axis_angle(DVec3::new(0.0, 0.6, 0.8), 0.1 * (t - 3.0));
+        let mut tracks = tracks(&grid(6), 8, |_, p, t| {
+            turn(t) * p + pivot + DVec3::X * (t - 3.0)
+        });
+        // Frame 3 is the one with most visible tracks.
+        for row in 0..tracks.len() {
+            let hidden = tracks.index(row, [0, 1, 2, 4, 5, 6, 7][row % 7]);
+            tracks.visible[hidden] = false;
+            tracks.confidence[hidden] = 0.0;
+            tracks.positions[hidden] = DVec3::splat(1e4);
+        }
+        let init = initialize(&tracks, &options(1)).expect("bases");
+        assert_eq!((init.canonical_frame, init.num_bases), (3, 1));
+        assert_eq!(motion(&init, 0, 3), DAffine3::IDENTITY);
+        for t in 0..8 {
+            let found = motion(&init, 0, t);
+            for p in grid(6) {
+                let at = |t: usize| turn(t as f64) * p + pivot + DVec3::X * (t as f64 - 3.0);
+                let error = found.transform_point3(at(3)).distance(at(t));
+                assert!(error < 1e-6, "frame {t}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn frames_without_tracks_copy_their_neighbour_on_the_canonical_side() {
+        let mut tracks = tracks(&grid(4), 7, |_, p, t| p + DVec3::X * t);
+        for row in 0..tracks.len() {
+            for t in [0, 4] {
+                let i = tracks.index(row, t);
+                tracks.visible[i] = false;
+            }
+            // Frame 2 is canonical, and frame 3 has two tracks left: too few.
+            let i = tracks.index(row, 3);
+            tracks.visible[i] = row < 2;
+            let i = tracks.index(row, 1);
+            tracks.visible[i] = row > 0;
+            for t in [5, 6] {
+                let i = tracks.index(row, t);
+                tracks.visible[i] = row > 0;
+            }
+        }
+        let init = initialize(&tracks, &options(1)).expect("bases");
+        assert_eq!(init.canonical_frame, 2);
+        let shift: Vec<f64> = (0..7).map(|t| motion(&init, 0, t).translation.x).collect();
+        let expected = [-1.0, -1.0, 0.0, 0.0, 0.0, 3.0, 4.0];
+        for (t, (a, b)) in shift.iter().zip(expected).enumerate() {
+            assert!((a - b).abs() < 1e-9, "frame {t}: {shift:?}");
+        }
+    }
+
+    #[test]
+    fn coefficients_are_the_same_at_any_scale() {
+        let make = |scale: f64| {
+            let tracks = tracks(&grid(5), 6, |row, p, t| {
+                scale
+                    * (p + if row < 25 {
+                        DVec3::X * t
+                    } else {
+                        DVec3::Z * (8.0 + t)
+                    })
+            });
+            initialize(&tracks, &options(4)).expect("bases")
+        };
+        let (small, large) = (make(1e-4), make(1e4));
+        assert_eq!(small.num_bases, large.num_bases);
+        assert!(small.num_bases >= 2, "two directions of motion");
+        let difference = |(a, b): (&f32, &f32)| (a - b).abs();
+        let worst = small
+            .coefficients
+            .iter()
+            .zip(&large.coefficients)
+            .map(difference)
+            .fold(0.0, f32::max);
+        assert!(worst < 1e-3, "logits differ by {worst}");
+        let row = &large.coefficients[..large.num_bases];
+        let span = row.iter().fold(0.0_f32, |m, v| m.max(*v))
+            - row.iter().fold(10.0_f32, |m, v| m.min(*v));
+        assert!(span > 1.0, "logits must tell the bases apart: {row:?}");
+    }
+
+    #[test]
+    fn thin_data_gives_fewer_bases() {
+        let still = |_: usize, p: DVec3, _: f64| p;
+        let moving = |_: usize, p: DVec3, t: f64| p * (1.0 + t) + DVec3::X * t;
+        let spread = grid(4);
+        let cases: Vec<(&str, Tracks3d)> = vec![
+            ("one track", tracks(&spread[3..4], 5, moving)),
+            ("two tracks", tracks(&spread[3..5], 5, moving)),
+            (
+                "a track seen many times",
+                tracks(&[DVec3::new(1.0, 2.0, 3.0); 30], 5, moving),
+            ),
+            (
+                "one point at rest",
+                tracks(&[DVec3::new(1.0, 2.0, 3.0); 30], 5, still),
+            ),
+            ("all at the origin", tracks(&[DVec3::ZERO; 9], 4, still)),
+            ("one frame", tracks(&spread, 1, moving)),
+            ("two frames", tracks(&spread, 2, moving)),
+            ("all at rest", tracks(&spread, 6, still)),
+            ("a line", tracks(&spread[..4], 6, moving)),
+        ];
+        for (name, tracks) in cases {
+            let init = initialize(&tracks, &options(20)).expect(name);
+            let (b, n, p) = (init.num_bases, tracks.num_frames, init.tracks.len());
+            assert!(
+                (1..=20).contains(&b) && b <= p,
+                "{name}: {b} bases of {p} tracks"
+            );
+            assert_eq!(
+                (init.rots.len(), init.transls.len()),
+                (6 * b * n, 3 * b * n),
+                "{name}"
+            );
+            assert_eq!(
+                (init.coefficients.len(), init.rows.len()),
+                (p * b, p),
+                "{name}"
+            );
+            assert!(
+                init.extent > 0.0 && init.extent.is_finite(),
+                "{name}: extent {}",
+                init.extent
+            );
+            assert!(
+                init.rots.iter().chain(&init.transls).all(|v| v.is_finite())
+                    && init.coefficients.iter().all(|v| v.is_finite()),
+                "{name}: not finite"
+            );
+            for basis in 0..b {
+                assert_eq!(
+                    motion(&init, basis, init.canonical_frame),
+                    DAffine3::IDENTITY,
+                    "{name}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn unusable_input_is_refused() {
+        let mut unseen = tracks(&grid(3), 4, |_, p, _| p);
+        assert_eq!(
+            initialize(&unseen, &options(0)).err(),
+            Some(MotionError::NoBases)
+        );
+        unseen.visible.fill(false);
+        assert_eq!(
+            initialize(&unseen, &options(2)).err(),
+            Some(MotionError::NoVisibleTrack { num_tracks: 18 })
+        );
+        let mut broken = tracks(&grid(3), 4, |_, p, _| p);
+        broken.positions[4 * 5 + 2].z = f64::NAN;
+        let expected = MotionError::NotFinite {
+            what: "position",
+            track: 5,
+            frame: 2,
+        };
+        assert_eq!(initialize(&broken, &options(2)).err(), Some(expected));
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_bits_with_any_number_of_threads() {
+        let wobble = |row: usize, p: DVec3, t: f64| {
+            p + DVec3::new((row as f64 + t).sin(), t, (t * p.x).cos())
+        };
+        let tracks = tracks(&grid(20), 9, wobble);
+        let run = |threads| {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .expect("a thread pool")
+                .install(|| initialize(&tracks, &options(6)).expect("bases"))
+        };
+        let (one, two) = (run(1), run(2));
+        assert!(
+            one.rots == two.rots
+                && one.transls == two.transls
+                && one.coefficients == two.coefficients
+        );
+    }
+}

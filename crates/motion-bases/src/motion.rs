@@ -67,7 +67,7 @@ impl MotionBases {
         if rows == 0 {
             let options = (&coefficients.device(), coefficients.dtype());
             return Motion {
-                rotations: Tensor::zeros([0, 3, 3], options.clone()),
+                rotations: Tensor::zeros([0, 3, 3], options),
                 translations: Tensor::zeros([0, 3], options),
             };
         }

@@ -48,7 +48,7 @@ pub fn procrustes(src: &[DVec3], dst: &[DVec3], weights: &[f64]) -> Option<DAffi
     }
     let rotation = best_rotation(covariance, 1e-24 * size[0] * size[1])?;
     Some(DAffine3 {
-        matrix3: rotation.into(),
+        matrix3: rotation,
         translation: mean_dst - rotation * mean_src,
     })
 }
@@ -77,4 +77,134 @@ fn best_rotation(covariance: Matrix3<f64>, nothing: f64) -> Option<DMat3> {
         ])
     };
     rotation.is_finite().then_some(rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use arbtest::arbitrary::Unstructured;
+
+    fn number(u: &mut Unstructured<'_>, size: f64) -> arbtest::arbitrary::Result<f64> {
+        Ok(size * (f64::from(u.int_in_range(-1_000_000..=1_000_000)?) / 1e6))
+    }
+
+    fn vector(u: &mut Unstructured<'_>, size: f64) -> arbtest::arbitrary::Result<DVec3> {
+        Ok(DVec3::new(
+            number(u, size)?,
+            number(u, size)?,
+            number(u, size)?,
+        ))
+    }
+
+    fn motion(u: &mut Unstructured<'_>) -> arbtest::arbitrary::Result<DAffine3> {
+        let axis = vector(u, 1.0)?.try_normalize().unwrap_or(DVec3::Z);
+        let rotation = DQuat::from_axis_angle(axis, number(u, 3.1)?);
+        Ok(DAffine3::from_rotation_translation(
+            rotation,
+            vector(u, 5.0)?,
+        ))
+    }
+
+    fn is_rotation(m: DMat3) -> bool {
+        (m * m.transpose()).abs_diff_eq(DMat3::IDENTITY, 1e-9)
+            && (m.determinant() - 1.0).abs() < 1e-9
+    }
+
+    #[test]
+    fn known_motions_come_back() {
+        arbtest::arbtest(|u| {
+            let truth = motion(u)?;
+            // Four points that span space, so that the motion is determined, and random ones.
+            let mut src = vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
+            for _ in 0..u.int_in_range(0..=10)? {
+                src.push(vector(u, 2.0)?);
+            }
+            let dst: Vec<DVec3> = src.iter().map(|&p| truth.transform_point3(p)).collect();
+            let weights: Vec<f64> = src
+                .iter()
+                .map(|_| Ok(1.0 + number(u, 0.9)?))
+                .collect::<Result<_, _>>()?;
+            let found = procrustes(&src, &dst, &weights).expect("a motion");
+            assert!(found.abs_diff_eq(truth, 1e-7), "{found:?} is not {truth:?}");
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn outliers_without_weight_do_not_matter_and_planes_give_no_reflection() {
+        let truth = DAffine3::from_rotation_translation(
+            DQuat::from_axis_angle(DVec3::new(0.0, 0.6, 0.8), 2.0),
+            DVec3::new(1.0, -2.0, 3.0),
+        );
+        let mut src: Vec<DVec3> = (0..12)
+            .map(|i| DVec3::new(f64::from(i % 4), f64::from(i / 4), 0.0))
+            .collect();
+        let mut dst: Vec<DVec3> = src.iter().map(|&p| truth.transform_point3(p)).collect();
+        let mut weights = vec![1.0; 12];
+        src.push(DVec3::splat(50.0));
+        dst.push(DVec3::splat(-70.0));
+        weights.push(0.0);
+        let found = procrustes(&src, &dst, &weights).expect("a motion");
+        assert!(found.abs_diff_eq(truth, 1e-8), "{found:?}");
+        weights[12] = 1e-9;
+        let found = procrustes(&src, &dst, &weights).expect("a motion");
+        assert!(found.abs_diff_eq(truth, 1e-4), "{found:?}");
+    }
+
+    #[test]
+    fn undetermined_rotations_are_the_smallest() {
+        let moved = DVec3::new(3.0, 1.0, -2.0);
+        let point = DVec3::new(1e3, -2e3, 5.0);
+        for count in [1, 2, 7] {
+            let found = procrustes(
+                &vec![point; count],
+                &vec![point + moved; count],
+                &vec![0.3; count],
+            );
+            let found = found.expect("a motion");
+            assert_eq!(found.matrix3, DMat3::IDENTITY, "{count} coincident points");
+            assert!(
+                found.translation.abs_diff_eq(moved, 1e-9),
+                "{count} coincident points"
+            );
+        }
+        // A line that turns by 90 degrees in the plane of x and y: that, and no turn about itself.
+        let src: Vec<DVec3> = (0..5).map(|i| DVec3::X * f64::from(i)).collect();
+        let dst: Vec<DVec3> = (0..5).map(|i| DVec3::Y * f64::from(i) + moved).collect();
+        let found = procrustes(&src, &dst, &[1.0; 5]).expect("a motion");
+        let quarter = DAffine3::from_rotation_translation(
+            DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2),
+            moved,
+        );
+        assert!(found.abs_diff_eq(quarter, 1e-7), "{found:?}");
+    }
+
+    #[test]
+    fn any_points_give_a_rotation() {
+        arbtest::arbtest(|u| {
+            let count = u.int_in_range(1..=6)?;
+            let size = [1e-9, 1.0, 1e6][u.int_in_range(0..=2)?];
+            let (mut src, mut dst, mut weights) = (vec![], vec![], vec![]);
+            for _ in 0..count {
+                src.push(vector(u, size)?);
+                dst.push(vector(u, size)?);
+                weights.push(number(u, 1.0)?.abs() + 1e-6);
+            }
+            let found = procrustes(&src, &dst, &weights).expect("a motion");
+            assert!(is_rotation(found.matrix3) && found.is_finite(), "{found:?}");
+            Ok(())
+        });
+    }
+
+    #[test]
+    fn unusable_input_gives_none() {
+        let p = [DVec3::ZERO, DVec3::X];
+        assert_eq!(procrustes(&p, &p[..1], &[1.0, 1.0]), None);
+        assert_eq!(procrustes(&p, &p, &[1.0]), None);
+        assert_eq!(procrustes(&[], &[], &[]), None);
+        assert_eq!(procrustes(&p, &p, &[0.0, 0.0]), None);
+        assert_eq!(procrustes(&p, &p, &[1.0, -0.5]), None);
+        assert_eq!(procrustes(&p, &p, &[1.0, f64::NAN]), None);
+        assert_eq!(procrustes(&p, &[DVec3::NAN, DVec3::X], &[1.0, 1.0]), None);
+    }
 }
