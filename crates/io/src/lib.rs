@@ -1,1 +1,34 @@
-//! io
+//! Files: datasets in; images, PLY and JSON out.
+//!
+//! [`Scene::open`] recognises a folder by its content (Shape-of-Motion's layout or nerfstudio's
+//! `transforms.json`) and hands out frames, cameras, times and whatever of depth, masks and tracks
+//! there is, in this project's conventions: OpenCV camera axes, pixel centres at + 0.5, z-depth,
+//! sRGB in [0, 1], time in units of training frames.
+//!
+//! This crate knows nothing of training or of tensors. Files are not trusted: every count in a header
+//! is held against the length of the file before anything is allocated from it, and whatever is wrong
+//! comes back as an [`IoError`] that names the file.
+
+mod atomic;
+mod bytes;
+mod camera_model;
+mod colmap;
+mod error;
+mod folder;
+mod nerfstudio;
+mod npy;
+mod picture;
+mod ply;
+mod resample;
+mod scene;
+mod shape_of_motion;
+mod tracks;
+mod truth;
+
+pub use atomic::{write_atomic, write_json};
+pub use error::IoError;
+pub use picture::{Image, Map, read_image, read_map, write_map_png, write_png};
+pub use ply::{read_ply, write_ply};
+pub use scene::{Frame, LoadOptions, Scene, SceneFormat, SparsePoint, View};
+pub use tracks::{QueryTracks, TrackSample, Tracks};
+pub use truth::Truth;

@@ -1,0 +1,306 @@
+//! Arrays: `.npy` files and the entries of `.npz` archives.
+
+use std::collections::BTreeMap;
+use std::io::{Cursor, Read as _};
+use std::path::Path;
+
+use npyz::{DType, NpyFile, NpyHeader, Order, TypeChar};
+
+use crate::IoError;
+use crate::bytes::read_file;
+use crate::picture::MAX_PACKING;
+
+/// An array as f32, row-major.
+#[derive(Debug)]
+pub(crate) struct Array {
+    pub(crate) shape: Vec<usize>,
+    pub(crate) values: Vec<f32>,
+}
+
+/// Reads a `.npy` file of any plain number type (also f16 and bool), in C or Fortran order.
+pub(crate) fn read_npy(path: &Path) -> Result<Array, IoError> {
+    parse_npy(&read_file(path)?, path, "the array")
+}
+
+/// Parses a whole `.npy` file; `what` names the array in messages.
+pub(crate) fn parse_npy(data: &[u8], path: &Path, what: &str) -> Result<Array, IoError> {
+    check_header(data, path, what)?;
+    let malformed = |e: std::io::Error| IoError::malformed(path, format!("{what}: {e}"));
+    let mut rest = data;
+    let header = NpyHeader::from_reader(&mut rest).map_err(malformed)?;
+
+    let DType::Plain(kind) = header.dtype() else {
+        return Err(IoError::malformed(path, format!("{what} holds records")));
+    };
+    let item_bytes = kind.num_bytes().unwrap_or(0);
+    let mut shape = Vec::new();
+    let mut needed = Some(item_bytes);
+    for &side in header.shape() {
+        let side = usize::try_from(side).ok();
+        needed = needed.zip(side).and_then(|(n, s)| n.checked_mul(s));
+        shape.extend(side);
+    }
+    if needed.is_none_or(|needed| needed > rest.len()) {
+        let have = rest.len();
+        return Err(IoError::truncated(
+            path,
+            format!(
+                "{what} promises {:?} of {kind}, {have} bytes are there",
+                header.shape()
+            ),
+        ));
+    }
+
+    let (order, strides) = (header.order(), header.strides().to_vec());
+    let file = NpyFile::with_header(header, rest);
+    let values = match (kind.type_char(), item_bytes) {
+        (TypeChar::Float, 2) => convert(file, half::f16::to_f32),
+        (TypeChar::Float, 4) => convert(file, |v: f32| v),
+        (TypeChar::Float, 8) => convert(file, |v: f64| v as f32),
+        (TypeChar::Bool, 1) => convert(file, |v: bool| f32::from(u8::from(v))),
+        (TypeChar::Uint, 1) => convert(file, |v: u8| f32::from(v)),
+        (TypeChar::Uint, 2) => convert(file, |v: u16| f32::from(v)),
+        (TypeChar::Uint, 4) => convert(file, |v: u32| v as f32),
+        (TypeChar::Int, 2) => convert(file, |v: i16| f32::from(v)),
+        (TypeChar::Int, 4) => convert(file, |v: i32| v as f32),
+        (TypeChar::Int, 8) => convert(file, |v: i64| v as f32),
+        _ => {
+            return Err(IoError::malformed(
+                path,
+                format!("{what} has type {kind}; real numbers are expected"),
+            ));
+        }
+    }
+    .map_err(malformed)?;
+    let values = match order {
+        Order::C => values,
+        Order::Fortran => to_row_major(&values, &shape, &strides),
+    };
+    Ok(Array { shape, values })
+}
+
+/// Refuses headers that would make the parser allocate, recurse or multiply beyond reason.
+fn check_header(data: &[u8], path: &Path, what: &str) -> Result<(), IoError> {
+    const MAX_HEADER: usize = 1 << 16;
+    if data.len() < 12 || &data[..6] != b"\x93NUMPY" {
+        return Err(IoError::malformed(
+            path,
+            format!("{what} is not in npy format"),
+        ));
+    }
+    let (start, length) = if data[6] == 1 {
+        (10, usize::from(u16::from_le_bytes([data[8], data[9]])))
+    } else {
+        let length = u32::from_le_bytes([data[8], data[9], data[10], data[11]]);
+        (12, length as usize)
+    };
+    if length > MAX_HEADER || start + length > data.len() {
+        return Err(IoError::truncated(
+            path,
+            format!("{what} promises a header of {length} bytes"),
+        ));
+    }
+    let text = String::from_utf8_lossy(&data[start..start + length]);
+    let nested = text.matches(['(', '[', '{']).count();
+    let shape = text
+        .split_once("shape")
+        .and_then(|(_, rest)| rest.split_once('('))
+        .and_then(|(_, rest)| rest.split_once(')'));
+    let elements = shape.and_then(|(sides, _)| {
+        sides
+            .split(',')
+            .map(str::trim)
+            .filter(|side| !side.is_empty())
+            .try_fold(1u64, |n, side| {
+                n.checked_mul(side.parse::<u64>().ok()?.max(1))
+            })
+    });
+    if nested > 16 || elements.is_none() {
+        return Err(IoError::malformed(
+            path,
+            format!("{what} has no usable npy header"),
+        ));
+    }
+    Ok(())
+}
+
+fn convert<T: npyz::Deserialize>(
+    file: NpyFile<&[u8]>,
+    to_f32: impl Fn(T) -> f32,
+) -> std::io::Result<Vec<f32>> {
+    let values = file
+        .data::<T>()
+        .map_err(|e| std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()))?;
+    values.map(|v| v.map(&to_f32)).collect()
+}
+
+/// Reorders values that are stored with `strides` (in elements).
+fn to_row_major(values: &[f32], shape: &[usize], strides: &[u64]) -> Vec<f32> {
+    (0..values.len())
+        .map(|flat| {
+            let (mut rest, mut at) = (flat, 0);
+            for (&side, &stride) in shape.iter().zip(strides).rev() {
+                at += rest % side * stride as usize;
+                rest /= side;
+            }
+            values[at]
+        })
+        .collect()
+}
+
+/// Reads every array of an `.npz` archive, by entry name without `.npy`.
+pub(crate) fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>, IoError> {
+    let data = read_file(path)?;
+    let archive_bytes = data.len() as u64;
+    let malformed =
+        |e: std::io::Error| IoError::malformed(path, format!("not an npz archive: {e}"));
+    let mut archive = npyz::npz::NpzArchive::new(Cursor::new(&data)).map_err(malformed)?;
+    let zip = archive.zip_archive();
+
+    let mut arrays = BTreeMap::new();
+    let mut packed_total = 0u64;
+    for index in 0..zip.len() {
+        let entry = zip.by_index(index).map_err(|e| malformed(e.into()))?;
+        let Some(name) = npyz::npz::array_name_from_file_name(entry.name()).map(String::from)
+        else {
+            continue;
+        };
+        // Sizes in an archive's directory are promises too; overlapping entries would make a small
+        // file unpack to anything.
+        let (packed, size) = (entry.compressed_size(), entry.size());
+        packed_total = packed_total.saturating_add(packed);
+        if packed_total > archive_bytes || size > packed.saturating_mul(MAX_PACKING) {
+            return Err(IoError::truncated(
+                path,
+                format!("entry {name} promises {size} bytes, packed into {packed}"),
+            ));
+        }
+        let mut bytes = Vec::new();
+        entry
+            .take(size)
+            .read_to_end(&mut bytes)
+            .map_err(|e| IoError::malformed(path, format!("entry {name}: {e}")))?;
+        let array = parse_npy(&bytes, path, &format!("entry {name}"))?;
+        if arrays.insert(name.clone(), array).is_some() {
+            return Err(IoError::malformed(
+                path,
+                format!("entry {name} is there twice"),
+            ));
+        }
+    }
+    Ok(arrays)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use npyz::WriterBuilder as _;
+
+    fn npy<T: npyz::AutoSerialize + Copy>(values: &[T], shape: &[u64], order: Order) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let options = npyz::WriteOptions::new().default_dtype().order(order);
+        let mut writer = options.shape(shape).writer(&mut bytes).begin_nd().unwrap();
+        writer.extend(values.iter().copied()).unwrap();
+        writer.finish().unwrap();
+        bytes
+    }
+
+    fn parse(data: &[u8]) -> Result<Array, IoError> {
+        parse_npy(data, Path::new("a.npy"), "the array")
+    }
+
+    #[test]
+    fn reads_number_types_and_orders() {
+        let want = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+        let c = parse(&npy(&want.map(f64::from), &[2, 3], Order::C)).unwrap();
+        assert_eq!(
+            (c.shape.as_slice(), c.values.as_slice()),
+            (&[2, 3][..], &want[..])
+        );
+        let fortran = npy(&[0.0f32, 3.0, 1.0, 4.0, 2.0, 5.0], &[2, 3], Order::Fortran);
+        assert_eq!(parse(&fortran).unwrap().values, want);
+        assert_eq!(
+            parse(&npy(&want.map(half::f16::from_f32), &[6], Order::C))
+                .unwrap()
+                .values,
+            want
+        );
+        assert_eq!(
+            parse(&npy(&want.map(|v| v as u8), &[6], Order::C))
+                .unwrap()
+                .values,
+            want
+        );
+        assert_eq!(
+            parse(&npy(&[true, false], &[2], Order::C)).unwrap().values,
+            [1.0, 0.0]
+        );
+        assert_eq!(
+            parse(&npy::<f32>(&[], &[0, 4], Order::C)).unwrap().shape,
+            [0, 4]
+        );
+    }
+
+    #[test]
+    fn every_cut_is_an_error() {
+        let data = npy(&[1.0f32; 24], &[4, 6], Order::C);
+        for length in 0..data.len() {
+            assert!(parse(&data[..length]).is_err(), "cut at {length}");
+        }
+    }
+
+    #[test]
+    fn absurd_headers_are_errors() {
+        let with = |header: &str| {
+            let mut data = b"\x93NUMPY\x01\x00".to_vec();
+            data.extend((header.len() as u16).to_le_bytes());
+            data.extend(header.as_bytes());
+            data
+        };
+        let dict = |shape: &str, descr: &str| {
+            with(&format!(
+                "{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n"
+            ))
+        };
+        for (name, data) in [
+            ("huge", dict("(1000000000, 1000000)", "'<f4'")),
+            (
+                "overflowing",
+                dict("(4294967296, 4294967296, 4294967296)", "'<f4'"),
+            ),
+            (
+                "overflowing beside a zero",
+                dict("(0, 9223372036854775807, 9223372036854775807)", "'<f4'"),
+            ),
+            ("negative", dict("(-4, 4)", "'<f4'")),
+            ("pickled", dict("(1,)", "'|O'")),
+            ("a record", dict("(1,)", "[('a', '<f4')]")),
+            ("text", dict("(1,)", "'<U4'")),
+            (
+                "nested",
+                with(&format!("{}'shape': (1,)", "[".repeat(60_000))),
+            ),
+            ("long header", {
+                let mut data = b"\x93NUMPY\x02\x00".to_vec();
+                data.extend(u32::MAX.to_le_bytes());
+                data
+            }),
+        ] {
+            assert!(parse(&data).is_err(), "{name}");
+        }
+    }
+
+    #[test]
+    fn random_bytes_never_panic() {
+        let good = npy(&[1.0f32; 6], &[2, 3], Order::C);
+        arbtest::arbtest(|u| {
+            let mut data = good.clone();
+            for _ in 0..u.int_in_range(1..=8)? {
+                let at = u.choose_index(data.len())?;
+                data[at] = u.arbitrary()?;
+            }
+            parse(&data).ok();
+            Ok(())
+        });
+    }
+}

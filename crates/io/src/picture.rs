@@ -1,0 +1,211 @@
+//! Pictures: PNG and JPEG in, 8-bit PNG out.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use image::{DynamicImage, ImageDecoder as _, ImageFormat, ImageReader};
+
+use crate::bytes::read_file;
+use crate::{IoError, write_atomic};
+
+/// A colour picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Image {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// sRGB in [0, 1], [H, W, 3] row-major.
+    pub pixels: Vec<f32>,
+}
+
+/// One number per pixel: a depth, a mask.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Map {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// [H, W] row-major.
+    pub values: Vec<f32>,
+}
+
+/// Deflate and JPEG cannot pack better than about 1:1032. A header that claims more is wrong, and is
+/// refused before its pixels are allocated.
+pub(crate) const MAX_PACKING: u64 = 1100;
+
+/// No picture of a video comes near; larger ones are refused before they are allocated.
+const MAX_BYTES: u64 = 2 << 30;
+
+fn decode(path: &Path) -> Result<DynamicImage, IoError> {
+    let data = read_file(path)?;
+    let mut reader = ImageReader::new(Cursor::new(&data))
+        .with_guessed_format()
+        .map_err(|e| IoError::access(path, e))?;
+    let format = reader.format();
+    if !is_whole(&data, format) {
+        return Err(IoError::truncated(
+            path,
+            "the end of the picture is missing",
+        ));
+    }
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(MAX_BYTES);
+    reader.limits(limits);
+
+    let bad = |e: image::ImageError| match e {
+        image::ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => {
+            IoError::truncated(path, "the picture ends too early")
+        }
+        image::ImageError::Unsupported(_) => {
+            IoError::malformed(path, "not a PNG or JPEG picture that can be read")
+        }
+        e => IoError::malformed(path, format!("broken picture: {e}")),
+    };
+    let decoder = reader.into_decoder().map_err(bad)?;
+    let (width, height) = decoder.dimensions();
+    let promised = decoder.total_bytes();
+    if promised > MAX_BYTES || promised > MAX_PACKING * data.len() as u64 + 4096 {
+        return Err(IoError::truncated(
+            path,
+            format!("promises {width}x{height} pixels in {} bytes", data.len()),
+        ));
+    }
+    if width == 0 || height == 0 {
+        return Err(IoError::malformed(path, "the picture has no pixels"));
+    }
+    DynamicImage::from_decoder(decoder).map_err(bad)
+}
+
+/// Whether the picture's end marker is there. The decoders forgive a missing end: they fill in grey.
+fn is_whole(data: &[u8], format: Option<ImageFormat>) -> bool {
+    let last = |marker: &[u8]| data.windows(marker.len()).rposition(|w| w == marker);
+    match format {
+        Some(ImageFormat::Png) => last(b"IEND\xae\x42\x60\x82").is_some(),
+        // The end marker must follow the last scan: an embedded thumbnail has an end of its own.
+        Some(ImageFormat::Jpeg) => last(&[0xff, 0xd9]) > last(&[0xff, 0xda]),
+        _ => true,
+    }
+}
+
+/// A picture's width and height, from its header alone.
+pub(crate) fn read_size(path: &Path) -> Result<(usize, usize), IoError> {
+    let (width, height) = image::image_dimensions(path)
+        .map_err(|e| IoError::malformed(path, format!("not a picture that can be read: {e}")))?;
+    Ok((width as usize, height as usize))
+}
+
+/// Reads a PNG or JPEG as sRGB in [0, 1]. Grey is repeated over the channels, alpha is dropped.
+///
+/// # Errors
+/// [`IoError::Access`], [`IoError::Truncated`] or [`IoError::Malformed`].
+pub fn read_image(path: &Path) -> Result<Image, IoError> {
+    let picture = decode(path)?.into_rgb32f();
+    Ok(Image {
+        width: picture.width() as usize,
+        height: picture.height() as usize,
+        pixels: picture.into_raw(),
+    })
+}
+
+/// Reads the first channel of a PNG or JPEG, in [0, 1]. (Masks are often stored as three equal channels.)
+///
+/// # Errors
+/// [`IoError::Access`], [`IoError::Truncated`] or [`IoError::Malformed`].
+pub fn read_map(path: &Path) -> Result<Map, IoError> {
+    let picture = decode(path)?.into_rgb32f();
+    Ok(Map {
+        width: picture.width() as usize,
+        height: picture.height() as usize,
+        values: picture.as_raw().iter().step_by(3).copied().collect(),
+    })
+}
+
+/// Reads the raw numbers of a 16-bit grey PNG, as depth sensors' files have them.
+pub(crate) fn read_depth_png(path: &Path) -> Result<Map, IoError> {
+    match decode(path)? {
+        DynamicImage::ImageLuma16(picture) => Ok(Map {
+            width: picture.width() as usize,
+            height: picture.height() as usize,
+            values: picture.as_raw().iter().map(|&v| f32::from(v)).collect(),
+        }),
+        other => Err(IoError::malformed(
+            path,
+            format!(
+                "a depth PNG must be 16-bit grey, this is {:?}",
+                other.color()
+            ),
+        )),
+    }
+}
+
+/// A number in [0, 1] as 8 bits, rounded; what is outside is clamped, not a number becomes 0.
+fn to_u8(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+/// Writes an 8-bit RGB PNG, rounded and clamped, atomically (see [`write_atomic`]).
+///
+/// # Errors
+/// [`IoError::Invalid`] when `pixels` is not [H, W, 3] with at least one pixel; [`IoError::Access`].
+pub fn write_png(path: &Path, image: &Image) -> Result<(), IoError> {
+    let (width, height) = (image.width, image.height);
+    write_pixels(
+        path,
+        width,
+        height,
+        &image.pixels,
+        image::ExtendedColorType::Rgb8,
+        3,
+    )
+}
+
+/// Writes an 8-bit grey PNG of values in [0, 1], rounded and clamped, atomically (see [`write_atomic`]).
+///
+/// # Errors
+/// [`IoError::Invalid`] when `values` is not [H, W] with at least one pixel; [`IoError::Access`].
+pub fn write_map_png(path: &Path, map: &Map) -> Result<(), IoError> {
+    let (width, height) = (map.width, map.height);
+    write_pixels(
+        path,
+        width,
+        height,
+        &map.values,
+        image::ExtendedColorType::L8,
+        1,
+    )
+}
+
+fn write_pixels(
+    path: &Path,
+    width: usize,
+    height: usize,
+    values: &[f32],
+    color: image::ExtendedColorType,
+    channels: usize,
+) -> Result<(), IoError> {
+    let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
+        return Err(IoError::invalid(path, "the picture is too large for a PNG"));
+    };
+    if width == 0 || height == 0 || values.len() != width * height * channels {
+        return Err(IoError::invalid(
+            path,
+            format!(
+                "{} values are no picture [{height}, {width}, {channels}]",
+                values.len()
+            ),
+        ));
+    }
+    let bytes: Vec<u8> = values.iter().map(|&v| to_u8(v)).collect();
+    let mut png = Vec::new();
+    image::write_buffer_with_format(
+        &mut Cursor::new(&mut png),
+        &bytes,
+        w,
+        h,
+        color,
+        ImageFormat::Png,
+    )
+    .map_err(|e| IoError::invalid(path, format!("cannot be written as PNG: {e}")))?;
+    write_atomic(path, |out| out.write_all(&png))
+}

@@ -1,0 +1,481 @@
+//! The layout of Shape-of-Motion's users (and of the reference code).
+//!
+//! ```text
+//! images/                              training frames, in the order of their names
+//! images_test/                         optional: test views
+//! masks/                               optional: white where something moves
+//! flow3d_preprocessed/
+//!   colmap/sparse[/0]                  cameras, images, points3D (.bin or .txt)
+//!   aligned_depth_anything_colmap/     optional: {frame}.npy, disparity [H, W]
+//!   2d_tracks/                         optional: {query}_{target}.npy, [P, 4]
+//!   2d_tracks.npz                      or the same arrays in one file
+//! ```
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use splat_core::Camera;
+
+use crate::colmap::{Model, ModelImage, find_model, read_model};
+use crate::error::list_names;
+use crate::folder::{Listing, PICTURES, list, stem_of};
+use crate::scene::{DepthFile, Plan, PlannedFrame, PlannedView};
+use crate::tracks::TrackFiles;
+use crate::{IoError, LoadOptions, SceneFormat};
+
+pub(crate) fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
+    let preprocessed = root.join("flow3d_preprocessed");
+    let mut notes = Vec::new();
+
+    let images_at = root.join("images");
+    let images = list_pictures(&images_at, &mut notes)?;
+    let stems = images.stems();
+    let paths = match &options.images {
+        None => images.pick(&stems, &images_at, "frames", "")?,
+        Some(other) => other_images(&root.join(other), &stems, &mut notes)?,
+    };
+
+    let test_at = root.join("images_test");
+    let test_images = list(&test_at, PICTURES)?;
+    let test_stems = test_images.stems();
+
+    let colmap = preprocessed.join("colmap");
+    let model_at = find_model(&colmap).ok_or_else(|| {
+        IoError::missing(
+            &colmap,
+            "the COLMAP model: no images.bin or images.txt in sparse/ or sparse/0/",
+            "run COLMAP on the frames, or copy its model here",
+        )
+    })?;
+    let model = read_model(&model_at)?;
+    let pairing = pair(&stems, &test_stems, &model, &mut notes)?;
+    let cameras = Cameras::new(&model)?;
+
+    let disparity_at = preprocessed.join("aligned_depth_anything_colmap");
+    let disparity = list(&disparity_at, &["npy"])?;
+    let disparity = optional(&disparity, &stems, &disparity_at, "disparity of")?;
+    let masks_at = root.join("masks");
+    let masks = optional(&list(&masks_at, PICTURES)?, &stems, &masks_at, "masks of")?;
+
+    let mut frames = Vec::with_capacity(stems.len());
+    for (i, (name, image)) in stems.iter().zip(paths).enumerate() {
+        frames.push(PlannedFrame {
+            view: cameras.view(name, image, &model.images[pairing.training[i]], i as f32)?,
+            depth: disparity
+                .as_ref()
+                .map(|d| DepthFile::Disparity(d[i].clone())),
+            mask: masks.as_ref().map(|m| m[i].clone()),
+        });
+    }
+    let mut test = Vec::new();
+    for (name, &(at, time)) in test_stems.iter().zip(&pairing.test) {
+        let image = test_images.files[name].clone();
+        test.push(cameras.view(name, image, &model.images[at], time)?);
+    }
+    Ok(Plan {
+        format: SceneFormat::ShapeOfMotion,
+        frames,
+        test,
+        points: model.points,
+        inverted_masks: false,
+        masks_at,
+        tracks: TrackFiles::new(&preprocessed),
+        notes,
+    })
+}
+
+fn list_pictures(folder: &Path, notes: &mut Vec<String>) -> Result<Listing, IoError> {
+    let images = list(folder, PICTURES)?;
+    if images.files.is_empty() {
+        return Err(IoError::missing(
+            folder,
+            format!("frames: no PNG or JPEG among {} files", images.others),
+            "put the video's frames there",
+        ));
+    }
+    if images.others > 0 {
+        notes.push(format!(
+            "ignored {} files in images/ that are no PNG or JPEG",
+            images.others
+        ));
+    }
+    Ok(images)
+}
+
+/// The training frames' pictures from another folder.
+pub(crate) fn other_images(
+    folder: &Path,
+    stems: &[String],
+    notes: &mut Vec<String>,
+) -> Result<Vec<PathBuf>, IoError> {
+    notes.push(format!(
+        "training frames are taken from {}",
+        folder.display()
+    ));
+    let advice = "the other folder needs a picture for each training frame";
+    list(folder, PICTURES)?.pick(stems, folder, "frames", advice)
+}
+
+/// One file per frame where the folder has any at all.
+fn optional(
+    listing: &Listing,
+    stems: &[String],
+    folder: &Path,
+    what: &str,
+) -> Result<Option<Vec<PathBuf>>, IoError> {
+    if listing.files.is_empty() {
+        return Ok(None);
+    }
+    let advice = "add them, or remove the folder to do without";
+    listing.pick(stems, folder, what, advice).map(Some)
+}
+
+/// The pinholes of a model, by number.
+struct Cameras<'a> {
+    pinholes: BTreeMap<u32, Camera>,
+    model: &'a Model,
+}
+
+impl<'a> Cameras<'a> {
+    fn new(model: &'a Model) -> Result<Self, IoError> {
+        let mut pinholes = BTreeMap::new();
+        for (&id, lens) in &model.cameras {
+            pinholes.insert(id, lens.clone().into_pinhole(&model.cameras_path)?);
+        }
+        Ok(Self { pinholes, model })
+    }
+
+    fn view(
+        &self,
+        name: &str,
+        image: PathBuf,
+        posed: &ModelImage,
+        time: f32,
+    ) -> Result<PlannedView, IoError> {
+        let camera = self.pinholes.get(&posed.camera_id).ok_or_else(|| {
+            IoError::malformed(
+                &self.model.images_path,
+                format!(
+                    "image {} has camera {}, which is not there",
+                    posed.name, posed.camera_id
+                ),
+            )
+        })?;
+        Ok(PlannedView {
+            name: name.into(),
+            image,
+            camera: camera.clone(),
+            camera_file: self.model.cameras_path.clone(),
+            cam_from_world: posed.cam_from_world,
+            time,
+        })
+    }
+}
+
+/// Which of the model's images belongs to which file.
+#[derive(Debug, PartialEq)]
+struct Pairing {
+    /// For each training frame.
+    training: Vec<usize>,
+    /// For each test view, with its time; empty when the model has none.
+    test: Vec<(usize, f32)>,
+}
+
+/// Finds each file's camera by name.
+///
+/// - The model names the training frames and no others: plain names.
+/// - The model names images beyond `images/`: it holds a stereo pair per instant, numbers 2 i left and
+///   2 i + 1 right (also written `{i}_left` and `{i}_right`), and training frames are left. The files
+///   are numbered by the instant, i, or as in the model. Files whose names are no numbers count in
+///   their order.
+/// - Anything else is an error with the difference.
+fn pair(
+    stems: &[String],
+    test_stems: &[String],
+    model: &Model,
+    notes: &mut Vec<String>,
+) -> Result<Pairing, IoError> {
+    let mut by_stem = BTreeMap::new();
+    for (at, image) in model.images.iter().enumerate() {
+        if by_stem.insert(stem_of(&image.name), at).is_some() {
+            return Err(IoError::names(
+                &model.images_path,
+                format!("two images are called {}", stem_of(&image.name)),
+            ));
+        }
+    }
+    let beyond: Vec<_> = by_stem
+        .keys()
+        .filter(|s| !stems.iter().any(|t| t == *s))
+        .collect();
+    let without: Vec<_> = stems
+        .iter()
+        .filter(|s| !by_stem.contains_key(s.as_str()))
+        .collect();
+
+    if beyond.is_empty() && without.is_empty() {
+        if !test_stems.is_empty() {
+            notes.push("images_test/ is ignored: the COLMAP model has no cameras for it".into());
+        }
+        return Ok(Pairing {
+            training: stems.iter().map(|s| by_stem[s.as_str()]).collect(),
+            test: Vec::new(),
+        });
+    }
+    if beyond.is_empty() {
+        let difference = format!("no camera for {} of images/", list_names(&without));
+        return Err(IoError::names(&model.images_path, difference));
+    }
+
+    let mut by_number = BTreeMap::new();
+    for (stem, &at) in &by_stem {
+        let Some(number) = model_number(stem) else {
+            let difference = format!(
+                "{} are in the model and not in images/, and {stem} is no number, so that it \
+                 cannot be told which are left (even) and which are right (odd)",
+                list_names(&beyond)
+            );
+            return Err(IoError::names(&model.images_path, difference));
+        };
+        if by_number.insert(number, at).is_some() {
+            let what = format!("two images have the number {number}");
+            return Err(IoError::names(&model.images_path, what));
+        }
+    }
+    stereo(stems, test_stems, &by_number)
+        .map_err(|difference| IoError::names(&model.images_path, difference))
+        .inspect(|pairing| {
+            let right = by_number.keys().filter(|n| *n % 2 == 1).count();
+            if pairing.test.is_empty() && right > 0 {
+                notes.push(format!(
+                    "no images_test/ for the {right} right cameras: no test views"
+                ));
+            }
+        })
+}
+
+/// The even and odd rule, over the model's images by number. The error is the difference.
+fn stereo(
+    stems: &[String],
+    test_stems: &[String],
+    by_number: &BTreeMap<u64, usize>,
+) -> Result<Pairing, String> {
+    let by_instant = (numbers(stems), numbers(test_stems));
+    let left = |n: &u64| n.checked_mul(2);
+    let right = |n: &u64| n.checked_mul(2)?.checked_add(1);
+    let as_in_model = |n: &u64| Some(*n);
+    let choose = |numbers: &[u64], rule: &dyn Fn(&u64) -> Option<u64>| -> Vec<u64> {
+        numbers
+            .iter()
+            .map(|n| rule(n).unwrap_or(u64::MAX))
+            .collect()
+    };
+    let first = (choose(&by_instant.0, &left), choose(&by_instant.1, &right));
+    let second = (
+        choose(&by_instant.0, &as_in_model),
+        choose(&by_instant.1, &as_in_model),
+    );
+    let (left, right) = if difference(&first.0, &first.1, by_number).is_some()
+        && difference(&second.0, &second.1, by_number).is_none()
+    {
+        second
+    } else {
+        first
+    };
+    if let Some(difference) = difference(&left, &right, by_number) {
+        return Err(difference);
+    }
+    let time = |right: u64| time_between(right - 1, &left);
+    Ok(Pairing {
+        training: left.iter().map(|n| by_number[n]).collect(),
+        test: right.iter().map(|&n| (by_number[&n], time(n))).collect(),
+    })
+}
+
+/// How the numbers that the files ask for differ from the model's; None when they do not.
+fn difference(left: &[u64], right: &[u64], by_number: &BTreeMap<u64, usize>) -> Option<String> {
+    let of_parity = |odd: u64| -> BTreeSet<u64> {
+        by_number.keys().copied().filter(|n| n % 2 == odd).collect()
+    };
+    let mut parts = Vec::new();
+    for (asked, odd, folder) in [(left, 0, "images/"), (right, 1, "images_test/")] {
+        let (asked, there) = (
+            asked.iter().copied().collect::<BTreeSet<_>>(),
+            of_parity(odd),
+        );
+        // Right cameras without test views are no harm.
+        if odd == 1 && asked.is_empty() {
+            continue;
+        }
+        let names = |a: &BTreeSet<u64>, b: &BTreeSet<u64>| -> Vec<String> {
+            a.difference(b).map(|n| format!("{n:05}")).collect()
+        };
+        let (no_camera, no_file) = (names(&asked, &there), names(&there, &asked));
+        if !no_camera.is_empty() {
+            let list = list_names(&no_camera);
+            parts.push(format!(
+                "{folder} needs cameras {list}, which the model lacks"
+            ));
+        }
+        if !no_file.is_empty() {
+            let list = list_names(&no_file);
+            parts.push(format!(
+                "the model has cameras {list} without a file in {folder}"
+            ));
+        }
+    }
+    (!parts.is_empty()).then(|| {
+        format!(
+            "{} (left frames have even numbers 2 i in the model, right ones 2 i + 1)",
+            parts.join("; ")
+        )
+    })
+}
+
+/// The files' numbers; their positions when a name is no number.
+fn numbers(stems: &[String]) -> Vec<u64> {
+    let parsed: Option<Vec<_>> = stems
+        .iter()
+        .map(|stem| {
+            let stem = stem.strip_suffix("_left").unwrap_or(stem);
+            digits(stem.strip_suffix("_right").unwrap_or(stem))
+        })
+        .collect();
+    parsed.unwrap_or_else(|| (0..stems.len() as u64).collect())
+}
+
+fn model_number(stem: &str) -> Option<u64> {
+    if let Some(instant) = stem.strip_suffix("_left") {
+        return digits(instant)?.checked_mul(2);
+    }
+    if let Some(instant) = stem.strip_suffix("_right") {
+        return digits(instant)?.checked_mul(2)?.checked_add(1);
+    }
+    digits(stem)
+}
+
+fn digits(text: &str) -> Option<u64> {
+    let all = !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    all.then(|| text.parse().ok()).flatten()
+}
+
+/// The time of an instant between the training frames' instants (ascending).
+fn time_between(instant: u64, training: &[u64]) -> f32 {
+    let after = training.partition_point(|&n| n < instant);
+    if after == training.len() {
+        return training.len().saturating_sub(1) as f32;
+    }
+    if after == 0 || training[after] == instant {
+        return after as f32;
+    }
+    let (a, b) = (training[after - 1], training[after]);
+    (after - 1) as f32 + ((instant - a) as f64 / (b - a) as f64) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model(names: &[&str]) -> Model {
+        let image = |name: &&str| ModelImage {
+            name: (*name).into(),
+            camera_id: 1,
+            cam_from_world: glam::DAffine3::IDENTITY,
+        };
+        Model {
+            cameras: BTreeMap::new(),
+            images: names.iter().map(image).collect(),
+            points: Vec::new(),
+            cameras_path: "cameras.bin".into(),
+            images_path: "images.bin".into(),
+        }
+    }
+
+    fn paired(train: &[&str], test: &[&str], names: &[&str]) -> Result<Pairing, String> {
+        let stems = |s: &[&str]| s.iter().map(|s| (*s).to_string()).collect::<Vec<_>>();
+        pair(&stems(train), &stems(test), &model(names), &mut Vec::new()).map_err(|e| e.to_string())
+    }
+
+    fn is(training: &[usize], test: &[(usize, f32)]) -> Result<Pairing, String> {
+        Ok(Pairing {
+            training: training.into(),
+            test: test.into(),
+        })
+    }
+
+    #[test]
+    fn plain_names_when_the_sets_are_equal() {
+        let names = ["b.png", "a.jpg", "c.png"];
+        assert_eq!(
+            paired(&["a", "b", "c"], &["a"], &names),
+            is(&[1, 0, 2], &[])
+        );
+        // Numbers too: equal sets are never read as left and right.
+        assert_eq!(
+            paired(&["0", "1"], &[], &["0.png", "1.png"]),
+            is(&[0, 1], &[])
+        );
+    }
+
+    #[test]
+    fn even_is_left_and_odd_is_right() {
+        let names = ["00000.png", "00001.png", "00002.png", "00003.png"];
+        let both = is(&[0, 2], &[(1, 0.0), (3, 1.0)]);
+        assert_eq!(
+            paired(&["00000", "00001"], &["00000", "00001"], &names),
+            both
+        );
+        assert_eq!(
+            paired(&["0_left", "1_left"], &["0_right", "1_right"], &names),
+            both
+        );
+        let sides = ["0_left.jpg", "0_right.jpg", "1_left.jpg", "1_right.jpg"];
+        assert_eq!(
+            paired(&["00000", "00001"], &["00000", "00001"], &sides),
+            both
+        );
+        // Files numbered as in the model, and files whose names are no numbers.
+        assert_eq!(
+            paired(&["00000", "00002"], &["00001", "00003"], &names),
+            both
+        );
+        assert_eq!(paired(&["a", "b"], &["a", "b"], &names), both);
+        assert_eq!(paired(&["00000", "00001"], &[], &names), is(&[0, 2], &[]));
+    }
+
+    #[test]
+    fn fewer_right_views_keep_their_instants() {
+        let names = ["0.png", "2.png", "4.png", "5.png"];
+        assert_eq!(
+            paired(&["0", "1", "2"], &["2"], &names),
+            is(&[0, 1, 2], &[(3, 2.0)])
+        );
+        assert_eq!(time_between(3, &[0, 2, 4]), 1.5);
+        assert_eq!(time_between(9, &[0, 2, 4]), 2.0);
+    }
+
+    #[test]
+    fn other_names_are_an_error_with_the_difference() {
+        let error = |train: &[&str], test: &[&str], names: &[&str]| {
+            paired(train, test, names).expect_err("names that do not fit")
+        };
+        let text = error(&["00000", "00001"], &[], &["00000.png"]);
+        assert!(text.contains("no camera for 00001"), "{text}");
+        let text = error(
+            &["0", "1", "2"],
+            &["0"],
+            &["0.png", "1.png", "2.png", "7.png"],
+        );
+        assert!(text.contains("images/ needs cameras 00004"), "{text}");
+        assert!(
+            text.contains("cameras 00007 without a file in images_test/"),
+            "{text}"
+        );
+        let text = error(&["a"], &[], &["a.png", "b.png"]);
+        assert!(text.contains("b are in the model"), "{text}");
+        let text = error(&["a"], &[], &["x/a.png", "y/a.png"]);
+        assert!(text.contains("two images"), "{text}");
+        let text = error(&["18446744073709551615"], &[], &["0.png", "1.png"]);
+        assert!(text.contains("needs cameras"), "{text}");
+    }
+}
