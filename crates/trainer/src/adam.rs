@@ -268,3 +268,115 @@ fn update<T: Real>(
             }
         });
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A gradient that changes sign and size over the steps, different in every element.
+    fn gradient(step: usize, element: usize) -> f64 {
+        let x = (step * 7 + element * 13) as f64;
+        (x * 0.61).sin() * 10.0_f64.powi((element % 9) as i32 - 6)
+    }
+
+    /// Adam of one element, from the paper's algorithm 1.
+    fn reference(start: f64, element: usize, steps: usize, rate: f64) -> f64 {
+        let options = AdamOptions::default();
+        let (mut p, mut m, mut v) = (start, 0.0, 0.0);
+        for step in 1..=steps {
+            let g = gradient(step, element);
+            m = options.beta1 * m + (1.0 - options.beta1) * g;
+            v = options.beta2 * v + (1.0 - options.beta2) * g * g;
+            let m_hat = m / (1.0 - options.beta1.powi(step as i32));
+            let v_hat = v / (1.0 - options.beta2.powi(step as i32));
+            p -= rate * m_hat / (v_hat.sqrt() + options.epsilon);
+        }
+        p
+    }
+
+    fn follow<T: Real>(tolerance: f64) {
+        let (rows, columns, steps) = (301, 7, 50);
+        let rates: Vec<f64> = (0..columns).map(|c| 1e-3 * (c + 1) as f64).collect();
+        let tile = LearningRate::PerColumn(rates.clone()).tile::<T>(columns);
+        let start = |k: usize| k as f64 * 1e-3;
+        let mut p: Vec<T> = (0..rows * columns).map(|k| T::of(start(k))).collect();
+        let (mut m, mut v) = (vec![T::default(); p.len()], vec![T::default(); p.len()]);
+        for step in 1..=steps {
+            let g: Vec<T> = (0..p.len()).map(|k| T::of(gradient(step, k))).collect();
+            update(
+                &mut p,
+                &g,
+                &mut m,
+                &mut v,
+                &tile,
+                step as u32,
+                &AdamOptions::default(),
+            );
+        }
+        for (k, p) in p.iter().enumerate() {
+            let expected = reference(start(k), k, steps, rates[k % columns]);
+            assert!(
+                (p.wide() - expected).abs() < tolerance,
+                "element {k}: {} instead of {expected}",
+                p.wide()
+            );
+        }
+    }
+
+    #[test]
+    fn fifty_steps_follow_the_scalar_reference() {
+        follow::<f64>(1e-12);
+        follow::<f32>(1e-5);
+    }
+
+    fn one_step(p: &mut [f32], g: &[f32], m: &mut [f32], v: &mut [f32], step: u32) {
+        let tile = LearningRate::Uniform(0.1).tile::<f32>(1);
+        update(p, g, m, v, &tile, step, &AdamOptions::default());
+    }
+
+    #[test]
+    fn an_unseen_element_does_not_move_and_a_seen_one_glides() {
+        let (mut p, mut m, mut v) = ([1.0, 1.0], [0.0; 2], [0.0; 2]);
+        one_step(&mut p, &[0.0, 1e-3], &mut m, &mut v, 1);
+        assert_eq!((p[0], m[0], v[0]), (1.0, 0.0, 0.0));
+        assert!((p[1] - 0.9).abs() < 1e-6, "the first step is the rate");
+        let before = p[1];
+        one_step(&mut p, &[0.0, 0.0], &mut m, &mut v, 2);
+        assert_eq!(p[0], 1.0);
+        assert!(p[1] < before, "momentum goes on");
+    }
+
+    #[test]
+    fn gradients_at_the_ends_of_f32_stay_finite() {
+        let (mut p, mut m, mut v) = ([0.0; 4], [0.0; 4], [0.0; 4]);
+        for step in 1..=2000 {
+            one_step(&mut p, &[3e38, -3e38, 1e-30, 1e-42], &mut m, &mut v, step);
+        }
+        assert!(
+            p.iter().chain(&m).chain(&v).all(|x| x.is_finite()),
+            "{p:?} {m:?} {v:?}"
+        );
+        assert!((p[0] + 200.0).abs() < 1.0, "a step each time: {}", p[0]);
+        assert!(
+            p[2].abs() < 1.0,
+            "vanishing gradients hardly move: {}",
+            p[2]
+        );
+        // The second moment decays again.
+        let before = v[0];
+        for step in 2001..=2100 {
+            one_step(&mut p, &[1.0; 4], &mut m, &mut v, step);
+        }
+        assert!(v[0] < 0.95 * before);
+    }
+
+    #[test]
+    fn old_momentum_ends_at_zero() {
+        let (mut p, mut m, mut v) = ([0.0], [0.0], [0.0]);
+        one_step(&mut p, &[1e-3], &mut m, &mut v, 1);
+        for step in 2..=100_000 {
+            one_step(&mut p, &[0.0], &mut m, &mut v, step);
+        }
+        assert_eq!((m[0], v[0]), (0.0, 0.0), "no denormal numbers are left");
+    }
+}

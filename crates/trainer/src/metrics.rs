@@ -75,3 +75,77 @@ fn squared(a: f32, b: f32) -> f64 {
 fn decibel(sum: f64, samples: usize) -> f64 {
     (-10.0 * (sum / samples as f64).log10()).min(LARGEST_PSNR)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn psnr_of_known_errors() {
+        // Mean squared error 0.01: 20 dB.
+        assert!((psnr(&[0.5; 12], &[0.6; 12]) - 20.0).abs() < 1e-5);
+        // One sample of four is off by 1: mean squared error 1/4.
+        let off = psnr(&[0.0; 4], &[0.0, 0.0, 0.0, 1.0]);
+        assert!((off - 10.0 * 4.0_f64.log10()).abs() < 1e-12);
+        assert_eq!(psnr(&[0.3; 3], &[0.3; 3]), LARGEST_PSNR);
+    }
+
+    #[test]
+    fn masked_psnr_sees_only_the_mask() {
+        let (a, b) = ([0.0; 6], [0.1, 0.1, 0.1, 1.0, 1.0, 1.0]);
+        let score = masked_psnr(&a, &b, &[true, false]).expect("one pixel is set");
+        assert!((score - 20.0).abs() < 1e-5);
+        assert_eq!(masked_psnr(&a, &b, &[false, false]), None);
+        assert_eq!(masked_psnr(&a, &b, &[true, true]), Some(psnr(&a, &b)));
+    }
+
+    /// SSIM with the window laid over every pixel where it fits, straight from the definition.
+    fn direct(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
+        let weight = |k: usize| (-((k as f64 - 5.0).powi(2)) / (2.0 * 1.5 * 1.5)).exp();
+        let total: f64 = (0..11).map(weight).sum::<f64>().powi(2);
+        let (mut sum, mut count) = (0.0, 0);
+        for y in 0..height - 10 {
+            for x in 0..width - 10 {
+                for channel in 0..3 {
+                    let moments = |f: &dyn Fn(f64, f64) -> f64| {
+                        let mut sum = 0.0;
+                        for v in 0..11 {
+                            for u in 0..11 {
+                                let k = ((y + v) * width + x + u) * 3 + channel;
+                                sum += weight(u) * weight(v) / total
+                                    * f(f64::from(a[k]), f64::from(b[k]));
+                            }
+                        }
+                        sum
+                    };
+                    let (m, n) = (moments(&|a, _| a), moments(&|_, b| b));
+                    let va = moments(&|a, _| (a - m).powi(2));
+                    let vb = moments(&|_, b| (b - n).powi(2));
+                    let c = moments(&|a, b| (a - m) * (b - n));
+                    sum += (2.0 * m * n + 0.01_f64.powi(2)) * (2.0 * c + 0.03_f64.powi(2))
+                        / ((m * m + n * n + 0.01_f64.powi(2)) * (va + vb + 0.03_f64.powi(2)));
+                    count += 1;
+                }
+            }
+        }
+        sum / f64::from(count)
+    }
+
+    #[test]
+    fn ssim_agrees_with_its_definition() {
+        let (width, height) = (17, 13);
+        let a: Vec<f32> = (0..width * height * 3)
+            .map(|k| 0.5 + 0.5 * ((k * k) as f32 * 0.37).sin())
+            .collect();
+        let b: Vec<f32> = a
+            .iter()
+            .enumerate()
+            .map(|(k, v)| 0.8 * v + 0.1 * (k as f32 * 1.7).cos())
+            .collect();
+        let score = ssim(&a, &b, width, height).expect("larger than the window");
+        let expected = direct(&a, &b, width, height);
+        assert!((score - expected).abs() < 1e-10, "{score} and {expected}");
+        assert!((ssim(&a, &a, width, height).expect("large enough") - 1.0).abs() < 1e-12);
+        assert_eq!(ssim(&a[..10 * 13 * 3], &b[..10 * 13 * 3], 10, 13), None);
+    }
+}

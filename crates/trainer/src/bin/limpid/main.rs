@@ -1,2 +1,47 @@
-//! The `limpid` program.
-fn main() {}
+//! The `limpid` program: trains, renders and scores.
+
+mod config;
+mod eval;
+mod outputs;
+mod render;
+mod sheet;
+mod train;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// What ends the program: a message for the user.
+type Failure = Box<dyn std::error::Error>;
+
+/// Limpid turns one blurry handheld video into a sharp 3D scene that moves.
+#[derive(Debug, Parser)]
+#[command(name = "limpid", version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Train on a scene and write pictures, scores, a checkpoint and a PLY.
+    Train(Box<train::TrainArguments>),
+    /// Render a trained scene again: pictures, and PLY files at any time.
+    Render(render::RenderArguments),
+    /// Score a trained scene on its test views.
+    Eval(eval::EvalArguments),
+}
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Train(arguments) => train::run(&arguments),
+        Command::Render(arguments) => render::run(&arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
+    };
+    match result {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("limpid: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! What a run was asked for: scene, backend and settings, from a file, flags and `--set`.
+
+use crate::Failure;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+use trainer::{Device, Settings};
+
+/// Name of the file that holds a run's [`Config`].
+pub(crate) const CONFIG_FILE: &str = "config.json";
+
+/// The keys of a config file that are not settings of the trainer.
+const RUN_KEYS: [&str; 5] = ["scene", "images", "downscale", "static", "backend"];
+
+/// Everything needed to repeat a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Config {
+    /// What is trained on.
+    pub(crate) run: RunOptions,
+    /// How.
+    pub(crate) settings: Settings,
+}
+
+/// Scene and backend.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct RunOptions {
+    /// Folder of the scene.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) scene: Option<PathBuf>,
+    /// Training frames from this folder of the scene.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) images: Option<PathBuf>,
+    /// Pictures are made smaller by this factor.
+    pub(crate) downscale: Option<usize>,
+    /// Movers are ignored.
+    #[serde(rename = "static")]
+    pub(crate) is_static: bool,
+    /// Where tensors live.
+    pub(crate) backend: Backend,
+}
+
+/// Where tensors live.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Backend {
+    /// The CPU, pure Rust.
+    #[default]
+    Flex,
+    /// A second CPU backend, slow; needs the feature `ndarray`.
+    Ndarray,
+    /// A GPU; needs the feature `wgpu`. The splatting kernels for it do not exist yet.
+    Wgpu,
+}
+
+impl Backend {
+    /// The name that `--backend` takes.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Flex => "flex",
+            Self::Ndarray => "ndarray",
+            Self::Wgpu => "wgpu",
+        }
+    }
+
+    /// The device, if this build has it.
+    pub(crate) fn device(self) -> Result<Device, Failure> {
+        match self {
+            #[cfg(feature = "flex")]
+            Self::Flex => Ok(Device::flex()),
+            #[cfg(feature = "ndarray")]
+            Self::Ndarray => {
+                #[expect(deprecated, reason = "kept as a second, independent CPU backend")]
+                let device = Device::ndarray();
+                Ok(device)
+            }
+            #[cfg(feature = "wgpu")]
+            Self::Wgpu => Err("--backend wgpu: the splatting and blur kernels for the GPU do not exist yet; \
+                use --backend flex"
+                .into()),
+            #[allow(unreachable_patterns, reason = "with all features on nothing is left")]
+            other => Err(format!(
+                "--backend {0}: this build lacks it; build with `--features {0}` (`cargo xtask train --backend {0}` does)",
+                other.name()
+            )
+            .into()),
+        }
+    }
+}
+
+impl Config {
+    /// Reads a run's configuration from its output folder.
+    pub(crate) fn of_run(folder: &Path) -> Result<Self, Failure> {
+        let path = folder.join(CONFIG_FILE);
+        let text = std::fs::read_to_string(&path)
+            .map_err(|e| format!("{} holds no finished or started run: {e}: {}", folder.display(), path.display()))?;
+        serde_json::from_str(&text).map_err(|e| format!("{e}: {}", path.display()).into())
+    }
+
+    /// The scene of this run, loaded.
+    pub(crate) fn open_scene(&self) -> Result<io::Scene, Failure> {
+        let dir = self.run.scene.as_deref().ok_or(
+            "no scene: give --scene DIR, or --config FILE with a line `scene = \"DIR\"`",
+        )?;
+        let options = io::LoadOptions {
+            downscale: self.run.downscale.unwrap_or(1),
+            images: self.run.images.clone(),
+            static_scene: self.run.is_static,
+        };
+        Ok(io::Scene::open_with(dir, &options)?)
+    }
+}
+
+/// A config file as a table; a relative scene is relative to the file.
+pub(crate) fn read_table(path: &Path) -> Result<Table, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
+    let mut table: Table = toml::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
+    if let Some(Value::String(scene)) = table.get("scene") {
+        let joined = path.parent().unwrap_or(Path::new("")).join(scene);
+        table.insert("scene".to_owned(), Value::String(joined.to_string_lossy().into_owned()));
+    }
+    Ok(table)
+}
+
+/// Sets a dotted key (`blur.kernel_size`) to a value in TOML's notation; text needs no quotes.
+pub(crate) fn set(table: &mut Table, assignment: &str) -> Result<(), Failure> {
+    let (key, text) = assignment
+        .split_once('=')
+        .ok_or_else(|| format!("--set {assignment}: write key=value, for example blur.kernel_size=7"))?;
+    let value = format!("v = {text}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut t| t.remove("v"))
+        .unwrap_or_else(|| Value::String(text.to_owned()));
+    insert(table, key.trim(), value)
+}
+
+/// Inserts a value under a dotted key.
+pub(crate) fn insert(table: &mut Table, key: &str, value: Value) -> Result<(), Failure> {
+    match key.split_once('.') {
+        None => {
+            table.insert(key.to_owned(), value);
+            Ok(())
+        }
+        Some((first, rest)) => {
+            let inner = table.entry(first).or_insert_with(|| Value::Table(Table::new()));
+            let Value::Table(inner) = inner else { return Err(format!("{first} is no group of settings").into()) };
+            insert(inner, rest, value)
+        }
+    }
+}
+
+/// Lays `over` on `base`, group by group.
+pub(crate) fn merge(base: &mut Table, over: Table) {
+    for (key, value) in over {
+        match (base.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(value)) => merge(inner, value),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Splits a table into run options and settings; what it leaves out has its default.
+pub(crate) fn from_table(mut table: Table, defaults: &Settings) -> Result<Config, Failure> {
+    let mut run = Table::new();
+    for key in RUN_KEYS {
+        if let Some(value) = table.remove(key) {
+            run.insert(key.to_owned(), value);
+        }
+    }
+    let mut settings = Table::try_from(defaults)?;
+    merge(&mut settings, table);
+    let describe = |e: toml::de::Error| format!("settings: {}", e.message());
+    let config = Config {
+        run: run.try_into().map_err(describe)?,
+        settings: settings.try_into().map_err(describe)?,
+    };
+    config.settings.validate()?;
+    Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(text: &str) -> Table {
+        text.parse().expect("toml")
+    }
+
+    #[test]
+    fn files_flags_and_set_are_laid_on_the_defaults() {
+        let mut t = table("downscale = 2\niterations = 500\n[blur]\nkernel_size = 7\n");
+        set(&mut t, "blur.kernel_size=5").expect("set");
+        set(&mut t, "loss.gauge=0.5").expect("set");
+        set(&mut t, "backend=ndarray").expect("text without quotes");
+        let config = from_table(t, &Settings::default()).expect("config");
+        assert_eq!(config.run.downscale, Some(2));
+        assert_eq!(config.run.backend, Backend::Ndarray);
+        assert_eq!(config.settings.iterations, 500);
+        assert_eq!(config.settings.blur.kernel_size, 5);
+        assert_eq!(config.settings.loss.gauge, 0.5);
+        assert_eq!(config.settings.unseen, Settings::default().unseen);
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        let mistake = |assignment: &str| {
+            let mut t = Table::new();
+            set(&mut t, assignment).and_then(|()| from_table(t, &Settings::default())).expect_err("a mistake").to_string()
+        };
+        assert!(mistake("blur.kernel=7").contains("kernel"));
+        assert!(mistake("blur.kernel_size=8").contains("blur.kernel_size"));
+        assert!(mistake("blur").contains("key=value"));
+        assert!(mistake("iterations=many").contains("invalid type"));
+        assert!(mistake("downscale=-1").contains("-1"));
+    }
+
+    #[test]
+    fn a_config_survives_json() {
+        let mut config = from_table(table("scene = \"a\"\nstatic = true"), &Settings::paper()).expect("config");
+        config.run.images = Some("truth/images_sharp".into());
+        let text = serde_json::to_string(&config).expect("json");
+        assert_eq!(serde_json::from_str::<Config>(&text).expect("json"), config);
+    }
+}

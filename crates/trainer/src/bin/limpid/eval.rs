@@ -1,0 +1,50 @@
+//! `limpid eval`.
+
+use crate::Failure;
+use crate::config::Config;
+use crate::outputs;
+use crate::render::load;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use trainer::ColorMap;
+
+/// Arguments of `limpid eval`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct EvalArguments {
+    /// Folder with a run's results.
+    run: PathBuf,
+    /// JSON file with `gain` and `offset` (8-bit units) per channel that bring the test pictures' colours to the training camera's.
+    /// A relative path that is not found is looked for in the scene's folder.
+    #[arg(long, value_name = "FILE")]
+    colour_map: Option<PathBuf>,
+    /// Write the scores to this file, in the form of metrics.json.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// What of a colour map's file counts.
+#[derive(serde::Deserialize)]
+struct ColorMapFile {
+    gain: [f64; 3],
+    offset: [f64; 3],
+}
+
+pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
+    let trainer = load(&arguments.run)?;
+    let colors = match &arguments.colour_map {
+        None => None,
+        Some(given) => {
+            let path = if given.exists() { given.clone() } else { trainer.scene().root.join(given) };
+            let text = std::fs::read_to_string(&path).map_err(|e| format!("{e}: {}", path.display()))?;
+            let file: ColorMapFile = serde_json::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
+            Some(ColorMap { gain: file.gain, offset: file.offset })
+        }
+    };
+    let evaluation = trainer.evaluate_with(colors.as_ref())?;
+    eprintln!("{}", outputs::summary(&evaluation));
+    if let Some(path) = &arguments.json {
+        let seconds = outputs::read_seconds(&arguments.run.join("checkpoint"));
+        outputs::write_metrics(path, &evaluation, &Config::of_run(&arguments.run)?, seconds)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,140 @@
+//! What a run leaves in its folder.
+
+use crate::Failure;
+use crate::config::{CONFIG_FILE, Config};
+use crate::sheet;
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::path::Path;
+use trainer::{Evaluation, Scores, Settings, Trainer};
+
+/// The names of a run's results in its folder.
+const RESULTS: [&str; 5] = [CONFIG_FILE, "metrics.json", "checkpoint", "renders", "scene.ply"];
+const SECONDS_FILE: &str = "seconds.json";
+
+/// `metrics.json`.
+#[derive(Serialize)]
+struct Metrics<'a> {
+    #[serde(flatten)]
+    evaluation: &'a Evaluation,
+    seconds: f64,
+    backend: &'static str,
+    seed: u64,
+    settings: &'a Settings,
+}
+
+/// Makes the folder, or refuses one that holds another run's results; with `force` those are removed, and nothing else.
+pub(crate) fn prepare_folder(out: &Path, force: bool) -> Result<(), Failure> {
+    for name in RESULTS {
+        let path = out.join(name);
+        if !path.exists() {
+            continue;
+        }
+        if !force {
+            return Err(format!(
+                "{} holds the results of another run ({name}); --resume goes on with it, --force replaces it, --out chooses another folder",
+                out.display()
+            )
+            .into());
+        }
+        let removed = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+        removed.map_err(|e| format!("{e}: {}", path.display()))?;
+    }
+    std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()).into())
+}
+
+/// Writes the checkpoint, and the seconds that training has taken.
+pub(crate) fn save(trainer: &Trainer, checkpoint: &Path, seconds: f64) -> Result<(), Failure> {
+    std::fs::create_dir_all(checkpoint).map_err(|e| format!("{e}: {}", checkpoint.display()))?;
+    trainer.save(checkpoint)?;
+    Ok(io::write_json(&checkpoint.join(SECONDS_FILE), &seconds)?)
+}
+
+/// The seconds that training took until the checkpoint; 0 where that is not known.
+pub(crate) fn read_seconds(checkpoint: &Path) -> f64 {
+    let text = std::fs::read_to_string(checkpoint.join(SECONDS_FILE)).unwrap_or_default();
+    serde_json::from_str(&text).unwrap_or(0.0)
+}
+
+/// Writes all pictures and the PLY, and scores.
+pub(crate) fn write_all(trainer: &Trainer, out: &Path) -> Result<Evaluation, Failure> {
+    write_renders(trainer, &out.join("renders"))?;
+    io::write_ply(&out.join("scene.ply"), &trainer.model().gaussians(None))?;
+    Ok(trainer.evaluate()?)
+}
+
+/// Writes `test/`, `train/`, `blurred/` and `kernels.png`.
+pub(crate) fn write_renders(trainer: &Trainer, folder: &Path) -> Result<(), Failure> {
+    let [test, train, blurred] = ["test", "train", "blurred"].map(|name| folder.join(name));
+    for made in [&test, &train, &blurred] {
+        std::fs::create_dir_all(made).map_err(|e| format!("{e}: {}", made.display()))?;
+    }
+    for (index, view) in trainer.scene().test.iter().enumerate() {
+        let image = trainer.render_view(&view.camera, &view.cam_from_world, view.time)?;
+        io::write_png(&test.join(format!("{index:05}.png")), &image)?;
+    }
+    let frames = trainer.scene().frames.len();
+    let shown = sheet::frames(frames);
+    let mut rows = Vec::new();
+    for (index, frame) in trainer.scene().frames.iter().enumerate() {
+        let view = trainer.render_training_view(index)?;
+        io::write_png(&train.join(format!("{index:05}.png")), &view.sharp)?;
+        io::write_png(&blurred.join(format!("{index:05}.png")), &view.blurred)?;
+        if shown.contains(&index)
+            && let Some(row) = sheet::row(&frame.view.image, &view)
+        {
+            rows.push(row);
+        }
+    }
+    if let Some(sheet) = sheet::stack(&rows) {
+        io::write_png(&folder.join("kernels.png"), &sheet)?;
+    }
+    Ok(())
+}
+
+/// Writes `metrics.json`.
+pub(crate) fn write_metrics(path: &Path, evaluation: &Evaluation, config: &Config, seconds: f64) -> Result<(), Failure> {
+    let metrics = Metrics {
+        evaluation,
+        seconds,
+        backend: config.run.backend.name(),
+        seed: config.settings.seed,
+        settings: &config.settings,
+    };
+    Ok(io::write_json(path, &metrics)?)
+}
+
+/// The scores in a few lines.
+pub(crate) fn summary(evaluation: &Evaluation) -> String {
+    let mut text = String::new();
+    let mut line = |name: &str, scores: &Scores| {
+        let figures = [
+            ("PSNR", Some(scores.psnr)),
+            ("mPSNR", scores.mpsnr),
+            ("static", scores.mpsnr_static),
+            ("movers", scores.mpsnr_dynamic),
+        ];
+        write!(text, "{name}:").expect("a string takes text");
+        for (label, value) in figures {
+            if let Some(value) = value {
+                write!(text, " {label} {value:.2} dB").expect("a string takes text");
+            }
+        }
+        if let Some(ssim) = scores.ssim {
+            write!(text, " SSIM {ssim:.4}").expect("a string takes text");
+        }
+        text.push('\n');
+    };
+    if let Some(scores) = &evaluation.test {
+        line("test views", scores);
+    }
+    if let Some(scores) = &evaluation.train_sharp {
+        line("sharp training views", scores);
+    }
+    let counts = evaluation.gaussians;
+    write!(text, "{} static and {} dynamic Gaussians", counts.fixed, counts.dynamic).expect("a string takes text");
+    if let (Some(shift), Some(m)) = (evaluation.kernel_centroid_px, evaluation.mean_intensity) {
+        write!(text, "; mean blur intensity {m:.2}, kernels' common shift {shift:.2} px").expect("a string takes text");
+    }
+    text
+}

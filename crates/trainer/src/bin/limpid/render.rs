@@ -1,0 +1,58 @@
+//! `limpid render`.
+
+use crate::Failure;
+use crate::config::Config;
+use crate::outputs;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use trainer::Trainer;
+
+/// Arguments of `limpid render`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct RenderArguments {
+    /// Folder with a run's results.
+    run: PathBuf,
+    /// Folder for the pictures and PLY files [default: RUN/renders].
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Write the scene at this time (training frames, may be fractional) as PLY instead of pictures; may be given more than once.
+    #[arg(long, value_name = "TIME")]
+    ply_at: Vec<f32>,
+    /// Write the scene at every training frame as a numbered PLY sequence (`ply/frame_0000.ply` …) instead of pictures.
+    #[arg(long)]
+    ply_sequence: bool,
+}
+
+pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
+    let trainer = load(&arguments.run)?;
+    let out = arguments.out.clone().unwrap_or_else(|| arguments.run.join("renders"));
+    std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
+    if arguments.ply_at.is_empty() && !arguments.ply_sequence {
+        outputs::write_renders(&trainer, &out)?;
+    }
+    let model = trainer.model();
+    for &time in &arguments.ply_at {
+        if !time.is_finite() {
+            return Err(format!("--ply-at {time}: give a time in training frames").into());
+        }
+        io::write_ply(&out.join(format!("scene_at_{time}.ply")), &model.gaussians(Some(time)))?;
+    }
+    if arguments.ply_sequence {
+        // A folder of its own: viewers take a folder with nothing but numbered PLY files as a sequence.
+        let folder = out.join("ply");
+        std::fs::create_dir_all(&folder).map_err(|e| format!("{e}: {}", folder.display()))?;
+        for (index, frame) in trainer.scene().frames.iter().enumerate() {
+            let path = folder.join(format!("frame_{index:04}.ply"));
+            io::write_ply(&path, &model.gaussians(Some(frame.view.time)))?;
+        }
+    }
+    eprintln!("written to {}", out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The trainer of a run, from its checkpoint.
+pub(crate) fn load(run: &std::path::Path) -> Result<Trainer, Failure> {
+    let config = Config::of_run(run)?;
+    let device = config.run.backend.device()?;
+    Ok(Trainer::load(&run.join("checkpoint"), config.open_scene()?, &device)?)
+}

@@ -1,0 +1,74 @@
+//! `kernels.png`: blurry frame, sharp render, intensity map, and the kernels at a few pixels.
+
+use io::Image;
+use trainer::BlurredView;
+
+/// Kernels are shown for so many pixels of a frame.
+const COLUMNS: usize = 8;
+/// Gap between pictures, px.
+const GAP: usize = 2;
+
+/// The frames that a sheet shows: a few, spread over time.
+pub(crate) fn frames(count: usize) -> Vec<usize> {
+    let mut frames: Vec<usize> = (0..4).map(|i| (2 * i + 1) * count / 8).collect();
+    frames.dedup();
+    frames
+}
+
+/// One frame's row of the sheet; `None` where blur is not modelled.
+pub(crate) fn row(blurry: &Image, view: &BlurredView) -> Option<Image> {
+    let (intensity, kernels) = (view.intensity.as_ref()?, view.kernels.as_ref()?);
+    let (width, height) = (blurry.width, blurry.height);
+    let size = (kernels.len() / (width * height)).isqrt();
+    let zoom = ((3 * width + 2 * GAP) / COLUMNS / (size + 1)).clamp(1, 16);
+    let strip = size * zoom + GAP;
+    let mut sheet = canvas((3 * width + 2 * GAP).max(COLUMNS * (size * zoom + GAP)), height + GAP + 3 * strip);
+    paste(&mut sheet, 0, 0, blurry);
+    paste(&mut sheet, width + GAP, 0, &view.sharp);
+    for (i, &m) in intensity.values.iter().enumerate() {
+        put(&mut sheet, 2 * (width + GAP) + i % width, i / width, [m; 3]);
+    }
+    for gy in 0..3 {
+        for gx in 0..COLUMNS {
+            let (x, y) = ((2 * gx + 1) * width / (2 * COLUMNS), (2 * gy + 1) * height / 6);
+            let at = (y * width + x) * size * size;
+            let kernel = &kernels[at..at + size * size];
+            let largest = kernel.iter().fold(1e-12_f32, |a, &b| a.max(b));
+            for v in 0..size * zoom {
+                for u in 0..size * zoom {
+                    let value = kernel[v / zoom * size + u / zoom] / largest;
+                    put(&mut sheet, gx * (size * zoom + GAP) + u, height + GAP + gy * strip + v, [value; 3]);
+                }
+            }
+        }
+    }
+    Some(sheet)
+}
+
+/// Rows one under the other; `None` for none.
+pub(crate) fn stack(rows: &[Image]) -> Option<Image> {
+    let width = rows.iter().map(|r| r.width).max()?;
+    let mut sheet = canvas(width, rows.iter().map(|r| r.height + 2 * GAP).sum());
+    let mut y = 0;
+    for row in rows {
+        paste(&mut sheet, 0, y, row);
+        y += row.height + 2 * GAP;
+    }
+    Some(sheet)
+}
+
+fn canvas(width: usize, height: usize) -> Image {
+    Image { width, height, pixels: [0.1, 0.1, 0.25].repeat(width * height) }
+}
+
+fn put(image: &mut Image, x: usize, y: usize, color: [f32; 3]) {
+    let at = 3 * (y * image.width + x);
+    image.pixels[at..at + 3].copy_from_slice(&color);
+}
+
+fn paste(image: &mut Image, x: usize, y: usize, from: &Image) {
+    for v in 0..from.height {
+        let at = 3 * ((y + v) * image.width + x);
+        image.pixels[at..at + 3 * from.width].copy_from_slice(&from.pixels[3 * v * from.width..3 * (v + 1) * from.width]);
+    }
+}

@@ -1,0 +1,256 @@
+//! `limpid train`.
+
+use crate::Failure;
+use crate::config::{self, Backend, CONFIG_FILE, Config};
+use crate::outputs;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+use toml::{Table, Value};
+use trainer::{Settings, StepReport, TrainError, Trainer};
+
+/// Exit code after Ctrl-C, as shells have it.
+const INTERRUPTED: u8 = 130;
+
+/// Arguments of `limpid train`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct TrainArguments {
+    /// Folder of the scene.
+    #[arg(long, value_name = "DIR")]
+    scene: Option<PathBuf>,
+    /// Folder for the results [default: out/SCENE].
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Number of iterations [default: 40000].
+    #[arg(long, value_name = "N")]
+    iterations: Option<usize>,
+    /// Make pictures smaller by this factor.
+    #[arg(long, value_name = "F")]
+    downscale: Option<usize>,
+    /// Whether blur is modelled [default: on].
+    #[arg(long, value_name = "on|off")]
+    blur: Option<Switch>,
+    /// Take the training frames from this folder of the scene.
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+    /// Ignore movers: no masks, no tracks.
+    #[arg(long = "static")]
+    is_static: bool,
+    /// Where tensors live [default: flex].
+    #[arg(long)]
+    backend: Option<Backend>,
+    /// Start from other defaults.
+    #[arg(long)]
+    profile: Option<Profile>,
+    /// Settings from a TOML file; flags win over it.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Seed of every random choice [default: 1].
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Go on from the checkpoint in the results' folder.
+    #[arg(long)]
+    resume: bool,
+    /// Replace the results of an earlier run.
+    #[arg(long, conflicts_with = "resume")]
+    force: bool,
+    /// Set any setting, for example `--set blur.kernel_size=7`.
+    #[arg(long = "set", value_name = "key=value")]
+    set: Vec<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Switch {
+    On,
+    Off,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Profile {
+    /// The paper's text.
+    Paper,
+}
+
+pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
+    let asked = arguments.config()?;
+    let out = match &arguments.out {
+        Some(out) => out.clone(),
+        None => default_out(&asked)?,
+    };
+    let checkpoint = out.join("checkpoint");
+    let (config, mut trainer, mut seconds) = if arguments.resume {
+        let mut config = Config::of_run(&out)?;
+        if let Some(backend) = arguments.backend {
+            config.run.backend = backend;
+        }
+        let device = config.run.backend.device()?;
+        let trainer = Trainer::load(&checkpoint, config.open_scene()?, &device)?;
+        eprintln!("going on after iteration {} of {}", trainer.iteration(), trainer.settings().iterations);
+        (config, trainer, outputs::read_seconds(&checkpoint))
+    } else {
+        let device = asked.run.backend.device()?;
+        outputs::prepare_folder(&out, arguments.force)?;
+        let scene = asked.open_scene()?;
+        for note in &scene.notes {
+            eprintln!("note: {note}");
+        }
+        let trainer = Trainer::new(scene, asked.settings.clone(), &device)?;
+        io::write_json(&out.join(CONFIG_FILE), &asked)?;
+        (asked, trainer, 0.0)
+    };
+    for note in &trainer.survey().notes {
+        eprintln!("{note}");
+    }
+
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopper = Arc::clone(&stop);
+    ctrlc::set_handler(move || stopper.store(true, Ordering::Relaxed))?;
+    let every = trainer.settings().checkpoint_every;
+    let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
+    while !trainer.is_done() && !stop.load(Ordering::Relaxed) {
+        let started = Instant::now();
+        let step = trainer.step();
+        seconds += started.elapsed().as_secs_f64();
+        let report = match step {
+            Ok(report) => report,
+            Err(error) => {
+                progress.finish();
+                // After a bad gradient the parameters are partly stepped: the checkpoint on disk is the last good state.
+                if !matches!(error, TrainError::Gradient { .. }) {
+                    outputs::save(&trainer, &checkpoint, seconds)?;
+                }
+                return Err(error.into());
+            }
+        };
+        progress.show(&report);
+        if every > 0 && report.iteration.is_multiple_of(every) && !trainer.is_done() {
+            outputs::save(&trainer, &checkpoint, seconds)?;
+        }
+    }
+    progress.finish();
+    outputs::save(&trainer, &checkpoint, seconds)?;
+    if !trainer.is_done() {
+        eprintln!(
+            "stopped after iteration {}; go on with: limpid train --resume --out {}",
+            trainer.iteration(),
+            out.display()
+        );
+        return Ok(ExitCode::from(INTERRUPTED));
+    }
+    let evaluation = outputs::write_all(&trainer, &out)?;
+    outputs::write_metrics(&out.join("metrics.json"), &evaluation, &config, seconds)?;
+    eprintln!("{}", outputs::summary(&evaluation));
+    eprintln!("{seconds:.0} s of training; results in {}", out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+impl TrainArguments {
+    /// File, then flags, then `--set`, over the profile's defaults.
+    fn config(&self) -> Result<Config, Failure> {
+        let changes_settings = self.iterations.is_some()
+            || self.downscale.is_some()
+            || self.blur.is_some()
+            || self.images.is_some()
+            || self.is_static
+            || self.profile.is_some()
+            || self.seed.is_some()
+            || !self.set.is_empty();
+        if self.resume && changes_settings {
+            return Err("--resume goes on with the settings that the run was started with; leave the other flags out \
+                (only --out, --scene, --config and --backend go with it)"
+                .into());
+        }
+        let defaults = match self.profile {
+            Some(Profile::Paper) => Settings::paper(),
+            None => Settings::default(),
+        };
+        let mut table = match &self.config {
+            Some(path) => config::read_table(path)?,
+            None => Table::new(),
+        };
+        let number = |n: usize| Value::Integer(i64::try_from(n).unwrap_or(i64::MAX));
+        let path = |p: &Path| Value::String(p.to_string_lossy().into_owned());
+        let flags = [
+            ("scene", self.scene.as_deref().map(path)),
+            ("images", self.images.as_deref().map(path)),
+            ("iterations", self.iterations.map(number)),
+            ("downscale", self.downscale.map(number)),
+            ("static", self.is_static.then_some(Value::Boolean(true))),
+            ("backend", self.backend.map(|b| Value::String(b.name().to_owned()))),
+            ("seed", self.seed.map(|s| Value::Integer(i64::try_from(s).unwrap_or(i64::MAX)))),
+            ("blur.enabled", self.blur.map(|b| Value::Boolean(b == Switch::On))),
+        ];
+        for (key, value) in flags {
+            if let Some(value) = value {
+                config::insert(&mut table, key, value)?;
+            }
+        }
+        for assignment in &self.set {
+            config::set(&mut table, assignment)?;
+        }
+        let mut config = config::from_table(table, &defaults)?;
+        // An absolute path, so that the run can be repeated from anywhere.
+        if let Some(scene) = &mut config.run.scene {
+            *scene = scene.canonicalize().map_err(|e| format!("{e}: {}", scene.display()))?;
+        }
+        Ok(config)
+    }
+}
+
+fn default_out(config: &Config) -> Result<PathBuf, Failure> {
+    let scene = config.run.scene.as_deref();
+    let name = scene.and_then(Path::file_name).ok_or(
+        "no scene: give --scene DIR, or --config FILE with a line `scene = \"DIR\"` (and --out DIR for where the results go)",
+    )?;
+    Ok(Path::new("out").join(name))
+}
+
+/// A bar on a terminal, a line now and then elsewhere.
+struct Progress {
+    bar: ProgressBar,
+    plain: bool,
+    started: Instant,
+    from: usize,
+    iterations: usize,
+    psnr: f64,
+}
+
+impl Progress {
+    fn new(from: usize, iterations: usize) -> Self {
+        let plain = !std::io::stderr().is_terminal();
+        let target = if plain { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let bar = ProgressBar::with_draw_target(Some(iterations as u64), target);
+        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} · {eta} left");
+        bar.set_style(style.expect("the template is valid"));
+        bar.set_position(from as u64);
+        bar.reset_eta();
+        Self { bar, plain, started: Instant::now(), from, iterations, psnr: f64::NAN }
+    }
+
+    fn show(&mut self, report: &StepReport) {
+        self.psnr = if self.psnr.is_nan() { report.psnr } else { 0.9 * self.psnr + 0.1 * report.psnr };
+        let text = format!(
+            "loss {:.4} · PSNR {:.1} dB · {} Gaussians",
+            report.loss, report.psnr, report.gaussians
+        );
+        self.bar.set_position(report.iteration as u64);
+        let every = (self.iterations / 20).max(1);
+        if self.plain && (report.iteration.is_multiple_of(every) || report.iteration == self.iterations) {
+            let done = (report.iteration - self.from) as f64;
+            let left = self.started.elapsed().as_secs_f64() / done * (self.iterations - report.iteration) as f64;
+            eprintln!(
+                "{}/{} {text} · mean PSNR {:.1} dB · {left:.0} s left",
+                report.iteration, self.iterations, self.psnr
+            );
+        }
+        self.bar.set_message(text);
+    }
+
+    fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}

@@ -1,0 +1,95 @@
+//! What can go wrong while training.
+
+use std::path::PathBuf;
+
+/// An error of the trainer, with what to do about it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrainError {
+    /// A setting is out of its range, unknown, or of the wrong type.
+    #[error("setting `{key}`: {problem}")]
+    Setting {
+        /// Dotted name of the setting.
+        key: String,
+        /// What is wrong and what is allowed.
+        problem: String,
+    },
+    /// The settings do not parse.
+    #[error("settings: {0}")]
+    Settings(String),
+    /// The scene cannot be trained on.
+    #[error("scene: {0}")]
+    Scene(String),
+    /// A checkpoint cannot be used.
+    #[error("checkpoint {path}: {problem}", path = path.display())]
+    Checkpoint {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what to do.
+        problem: String,
+    },
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    Io(#[from] io::IoError),
+    /// The splatting op refused its input.
+    #[error("rendering: {0}")]
+    Splat(#[from] splat_core::SplatError),
+    /// The motion model refused its input.
+    #[error("motion: {0}")]
+    Motion(#[from] motion_bases::MotionError),
+    /// The blur model refused its configuration.
+    #[error("blur model: {0}")]
+    Blur(#[from] bpnet::BpNetError),
+    /// A loss term is not finite.
+    #[error(
+        "iteration {iteration}: the loss term `{term}` of view {view} is {value}; the state before this iteration is unharmed and can be saved"
+    )]
+    NotFinite {
+        /// 1-based iteration.
+        iteration: usize,
+        /// Name of the view.
+        view: String,
+        /// Name of the loss term.
+        term: &'static str,
+        /// The value.
+        value: f64,
+    },
+    /// A gradient is not finite.
+    #[error(
+        "iteration {iteration}, view {view}: the gradient of `{parameter}` is not finite ({problem}); \
+         go on from the last checkpoint, with a lower learning rate or without the setting that was changed last"
+    )]
+    Gradient {
+        /// 1-based iteration.
+        iteration: usize,
+        /// Name of the view.
+        view: String,
+        /// Name of the parameter.
+        parameter: String,
+        /// Where in it.
+        problem: crate::adam::NonFiniteGradient,
+    },
+    /// The first fit of the motion bases diverged.
+    #[error("first fit of the motion bases, step {step}: the gradient of {name} is not finite ({problem}); check the tracks and the depth")]
+    FirstFit {
+        /// Step of the fit.
+        step: usize,
+        /// Name of the parameter.
+        name: &'static str,
+        /// Where in it.
+        problem: crate::adam::NonFiniteGradient,
+    },
+    /// All iterations are done.
+    #[error("all {iterations} iterations are done; raise `iterations` in a new run to train for longer")]
+    Finished {
+        /// The number of iterations.
+        iterations: usize,
+    },
+}
+
+impl TrainError {
+    /// An out-of-range setting.
+    pub(crate) fn setting(key: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Setting { key: key.into(), problem: problem.into() }
+    }
+}

@@ -1,0 +1,131 @@
+//! Lifts 2D tracks to 3D by depth (method facts 2.1 and 2.2).
+
+use crate::random::{Purpose, generator, sample};
+use glam::{DVec2, DVec3};
+use io::{Frame, Map, QueryTracks, Scene};
+use motion_bases::Tracks3d;
+
+/// Lifts at most `max_tracks` tracks, the same number from each query frame.
+///
+/// A track is *visible* in a frame where its visibility times confidence is over one half, it lies
+/// inside the mask, and all depth around it is known. Tracks that are seen too rarely are dropped.
+pub(crate) fn lift_tracks(scene: &Scene, max_tracks: usize, seed: u64) -> Tracks3d {
+    let n = scene.frames.len();
+    let mut out = Tracks3d {
+        num_frames: n,
+        positions: Vec::new(),
+        visible: Vec::new(),
+        confidence: Vec::new(),
+        colors: Vec::new(),
+    };
+    let Some(tracks) = &scene.tracks else { return out };
+    let share = max_tracks.div_ceil(tracks.queries.len().max(1));
+    for query in &tracks.queries {
+        let Some(query_frame) = scene.frames.get(query.frame) else { continue };
+        let count = query.samples.len() / n;
+        let mut rng = generator(seed, Purpose::Tracks, query.frame as u64);
+        let lifted: Vec<Lifted> =
+            sample(&mut rng, count, share).into_iter().map(|row| lift_track(scene, query, row)).collect();
+        let mut seen: Vec<usize> = lifted.iter().map(|t| t.visible.iter().filter(|&&v| v).count()).collect();
+        let counts = seen.clone();
+        seen.sort_unstable();
+        let least = seen.get(seen.len() / 10).map_or(0, |&tenth| tenth.min(n / 20)).max(1);
+        for ((track, row), seen) in lifted.into_iter().zip(0..).zip(counts) {
+            if seen < least {
+                continue;
+            }
+            let at = &query.samples[row * n + query.frame];
+            let pixel = DVec2::new(f64::from(at.x), f64::from(at.y));
+            out.positions.extend(track.positions);
+            out.visible.extend(track.visible);
+            out.confidence.extend(track.confidence);
+            out.colors.push(sample_color(query_frame, pixel));
+        }
+    }
+    out
+}
+
+struct Lifted {
+    positions: Vec<DVec3>,
+    visible: Vec<bool>,
+    confidence: Vec<f32>,
+}
+
+fn lift_track(scene: &Scene, query: &QueryTracks, row: usize) -> Lifted {
+    let n = scene.frames.len();
+    let samples = &query.samples[row * n..(row + 1) * n];
+    let mut lifted =
+        Lifted { positions: Vec::with_capacity(n), visible: Vec::with_capacity(n), confidence: Vec::with_capacity(n) };
+    for (frame, s) in scene.frames.iter().zip(samples) {
+        let visible = 1.0 - sigmoid(s.occlusion);
+        let confident = 1.0 - sigmoid(s.expected_distance);
+        let pixel = DVec2::new(f64::from(s.x), f64::from(s.y));
+        let z = depth_inside_mask(frame, pixel);
+        let is_visible = visible * confident > 0.5 && z.is_some();
+        let is_invisible = (1.0 - visible) * confident > 0.5 && z.is_some();
+        let z = z.unwrap_or_else(|| frame.depth.as_ref().map_or(1.0, |d| nearest_depth(d, pixel)));
+        let point = frame.view.camera.unproject(pixel, z);
+        lifted.positions.push(frame.view.cam_from_world.inverse().transform_point3(point));
+        lifted.visible.push(is_visible);
+        lifted.confidence.push(if is_visible || is_invisible { confident } else { 0.0 });
+    }
+    lifted
+}
+
+fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// The four pixels around a position, with their bilinear weights; indices are clamped to the picture.
+fn corners(width: usize, height: usize, pixel: DVec2) -> [(usize, f64); 4] {
+    let (x, y) = (pixel.x - 0.5, pixel.y - 0.5);
+    let (x0, y0) = (x.floor(), y.floor());
+    let (fx, fy) = (x - x0, y - y0);
+    let at = |dx: f64, dy: f64| {
+        let column = (x0 + dx).clamp(0.0, width as f64 - 1.0) as usize;
+        let row = (y0 + dy).clamp(0.0, height as f64 - 1.0) as usize;
+        row * width + column
+    };
+    [
+        (at(0.0, 0.0), (1.0 - fx) * (1.0 - fy)),
+        (at(1.0, 0.0), fx * (1.0 - fy)),
+        (at(0.0, 1.0), (1.0 - fx) * fy),
+        (at(1.0, 1.0), fx * fy),
+    ]
+}
+
+/// Bilinear depth where every pixel that counts lies in the mask and has depth.
+fn depth_inside_mask(frame: &Frame, pixel: DVec2) -> Option<f64> {
+    let (depth, mask) = (frame.depth.as_ref()?, frame.mask.as_ref()?);
+    let inside = (0.0..depth.width as f64).contains(&pixel.x) && (0.0..depth.height as f64).contains(&pixel.y);
+    if !inside {
+        return None;
+    }
+    let mut z = 0.0;
+    for (i, weight) in corners(depth.width, depth.height, pixel) {
+        // Weights sum to 1 only to rounding: a corner that hardly counts may lie outside.
+        if weight > 1e-4 && (mask.values[i] <= 0.5 || depth.values[i] <= 0.0) {
+            return None;
+        }
+        z += weight * f64::from(depth.values[i]);
+    }
+    (z > 0.0).then_some(z)
+}
+
+/// Depth of the nearest pixel, for a position that is not trusted; any positive number will do where there is none.
+fn nearest_depth(depth: &Map, pixel: DVec2) -> f64 {
+    let pixel = if pixel.is_finite() { pixel } else { DVec2::ZERO };
+    let z = f64::from(depth.values[corners(depth.width, depth.height, pixel)[0].0]);
+    if z > 0.0 { z } else { 1.0 }
+}
+
+fn sample_color(frame: &Frame, pixel: DVec2) -> [f32; 3] {
+    let image = &frame.view.image;
+    let mut color = [0.0; 3];
+    for (i, weight) in corners(image.width, image.height, pixel) {
+        for (c, sum) in color.iter_mut().enumerate() {
+            *sum += weight as f32 * image.pixels[3 * i + c];
+        }
+    }
+    color
+}

@@ -1,0 +1,73 @@
+//! Adam for every parameter, by name, and each parameter's learning rate.
+
+use crate::adam::{AdamOptions, AdamState, LearningRate, NonFiniteGradient, adam_step};
+use crate::density::RowEdit;
+use crate::schedule::{REFERENCE_ITERATIONS, Schedule};
+use crate::settings::LearningRates;
+use burn::tensor::{Gradients, Tensor};
+use std::collections::BTreeMap;
+
+/// Moments of all parameters, by the parameters' names.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Optimizer {
+    pub(crate) states: BTreeMap<String, AdamState>,
+}
+
+impl Optimizer {
+    /// Steps one parameter with its gradient; without a gradient it stays as it is.
+    pub(crate) fn step(
+        &mut self,
+        name: &str,
+        parameter: &mut Tensor<2>,
+        grads: &mut Gradients,
+        rate: &LearningRate,
+    ) -> Result<(), NonFiniteGradient> {
+        let Some(grad) = parameter.grad_remove(grads) else { return Ok(()) };
+        let state = self.states.entry(name.to_owned()).or_insert_with(|| AdamState::new(parameter));
+        adam_step(parameter, grad, state, rate, &AdamOptions::default())
+    }
+
+    /// Follows an edit of a parameter's rows.
+    pub(crate) fn edit(&mut self, name: &str, edit: &RowEdit) {
+        if let Some(state) = self.states.get_mut(name) {
+            state.gather(edit);
+        }
+    }
+}
+
+/// Learning rates at an iteration.
+pub(crate) struct Rates<'a> {
+    pub(crate) rates: &'a LearningRates,
+    pub(crate) schedule: &'a Schedule,
+    pub(crate) scene_size: f64,
+    pub(crate) sh_columns: usize,
+}
+
+impl Rates<'_> {
+    /// The rate of a parameter (names as in [`crate::Model::parameters`]) at iteration `it`.
+    pub(crate) fn of(&self, name: &str, it: usize) -> LearningRate {
+        let r = self.rates;
+        let boost = self.schedule.short_run_boost(r.short_run_boost);
+        LearningRate::Uniform(match name {
+            "gaussians.means" => {
+                self.scene_size * self.schedule.log_linear(it, r.means, r.means_final, r.means_decay)
+            }
+            "gaussians.quats" => r.rotations,
+            "gaussians.log_scales" => r.scales,
+            "gaussians.opacity_logits" => r.opacity,
+            "gaussians.sh" => return LearningRate::first_and_rest(r.sh_dc, 3, r.sh_rest, self.sh_columns),
+            "motion.rots" => r.bases * boost,
+            "motion.transls" => r.bases * boost * self.scene_size,
+            "motion.coefficients" => r.coefficients * boost,
+            _ => {
+                // The paper's long run decays to a fiftieth over 35,000 iterations; a short one less.
+                let (share, length) = if self.schedule.iterations < REFERENCE_ITERATIONS {
+                    (r.blur_final_share, REFERENCE_ITERATIONS)
+                } else {
+                    (0.02, 35_000)
+                };
+                boost * self.schedule.log_linear(it, r.blur, r.blur * share, length)
+            }
+        })
+    }
+}

@@ -1,0 +1,264 @@
+//! When things happen in a run of n iterations (design: at 40,000 as in the paper, shorter runs scale).
+
+use crate::settings::Settings;
+
+/// Length of the run that the paper's moments are given for.
+pub const REFERENCE_ITERATIONS: usize = 40_000;
+
+/// The moments of one run; iterations count from 1.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Schedule {
+    /// Number of iterations n.
+    pub iterations: usize,
+    /// Dynamic Gaussians are densified at the end of this iteration.
+    pub densify_dynamic_at: Option<usize>,
+    /// Unseen views are used after this iteration…
+    pub unseen_from: Option<usize>,
+    /// … at every iteration that this divides.
+    pub unseen_every: usize,
+    /// Blur is modelled after this iteration.
+    pub blur_from: Option<usize>,
+    /// The blur model is stepped after this iteration.
+    pub blur_step_from: Option<usize>,
+    /// L_spa and the intensity penalty count after this iteration.
+    pub kernel_center_from: Option<usize>,
+    /// The downsample loss counts after this iteration.
+    pub downsample_from: Option<usize>,
+    control_from: usize,
+    control_until: usize,
+    control_every: usize,
+    prune_scale_from: usize,
+    sh_degree_every: f64,
+    sh_degree: usize,
+    opacity_reset_every: usize,
+}
+
+/// What a run of a scene models, as far as the schedule cares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Modelled {
+    /// There are dynamic Gaussians.
+    pub motion: bool,
+    /// Blur is modelled.
+    pub blur: bool,
+    /// There are unseen views.
+    pub unseen: bool,
+}
+
+impl Schedule {
+    /// The schedule of a run on a scene of `num_frames` training frames.
+    #[must_use]
+    pub fn new(settings: &Settings, num_frames: usize, modelled: Modelled) -> Self {
+        let n = settings.iterations;
+        let s = n as f64 / REFERENCE_ITERATIONS as f64;
+        let at = |moment: usize| (moment as f64 * s) as usize;
+        let blur_from = modelled.blur.then(|| at(settings.blur.from).max(250.min(n / 4)));
+        Self {
+            iterations: n,
+            densify_dynamic_at: (modelled.motion && settings.motion.densify)
+                .then(|| at(settings.motion.densify_at).max(1)),
+            unseen_from: modelled.unseen.then(|| at(settings.unseen.from)),
+            unseen_every: settings.unseen.every,
+            blur_from,
+            blur_step_from: blur_from.map(|b| b + settings.blur.hold.min(n / 8)),
+            kernel_center_from: blur_from
+                .map(|b| at(settings.loss.kernel_center_from).max(b + 500.min(n / 4))),
+            downsample_from: blur_from.map(|b| b + at(settings.loss.downsample_after)),
+            control_from: at(settings.gaussians.control_from),
+            control_until: at(settings.gaussians.control_until),
+            control_every: at(settings.gaussians.control_every).max(num_frames).max(25),
+            prune_scale_from: at(settings.gaussians.prune_scale_from),
+            sh_degree_every: settings.gaussians.sh_degree_every as f64 * s,
+            sh_degree: settings.gaussians.sh_degree,
+            opacity_reset_every: if n >= 10_000 { settings.gaussians.opacity_reset_every } else { 0 },
+        }
+    }
+
+    /// Whether iteration `it` shows an unseen view.
+    #[must_use]
+    pub fn is_unseen(&self, it: usize) -> bool {
+        self.unseen_from.is_some_and(|from| it > from) && it.is_multiple_of(self.unseen_every)
+    }
+
+    /// Whether blur is modelled at iteration `it`.
+    #[must_use]
+    pub fn is_blurred(&self, it: usize) -> bool {
+        self.blur_from.is_some_and(|from| it > from)
+    }
+
+    /// Whether the blur model is stepped at iteration `it`: it is applied and the hold is over.
+    #[must_use]
+    pub fn steps_blur(&self, it: usize) -> bool {
+        self.blur_step_from.is_some_and(|from| it > from)
+    }
+
+    /// Whether L_spa and the intensity penalty count at iteration `it`.
+    #[must_use]
+    pub fn has_kernel_center(&self, it: usize) -> bool {
+        self.kernel_center_from.is_some_and(|from| it > from)
+    }
+
+    /// Whether the downsample loss counts at iteration `it`.
+    #[must_use]
+    pub fn has_downsample(&self, it: usize) -> bool {
+        self.downsample_from.is_some_and(|from| it > from)
+    }
+
+    /// Whether screen-space gradients are gathered at iteration `it`.
+    #[must_use]
+    pub fn gathers_density(&self, it: usize) -> bool {
+        it < self.control_until
+    }
+
+    /// Whether density control acts at the end of iteration `it`.
+    #[must_use]
+    pub fn controls_density(&self, it: usize) -> bool {
+        it > self.control_from && it < self.control_until && it.is_multiple_of(self.control_every)
+    }
+
+    /// Whether density control removes Gaussians that are too large at iteration `it`.
+    #[must_use]
+    pub fn prunes_scale(&self, it: usize) -> bool {
+        it > self.prune_scale_from
+    }
+
+    /// Degree of the spherical harmonics at iteration `it`.
+    #[must_use]
+    pub fn sh_degree_at(&self, it: usize) -> usize {
+        self.sh_degree.min((it as f64 / self.sh_degree_every) as usize)
+    }
+
+    /// Whether opacities are reset at the end of iteration `it`: only while density control runs,
+    /// never within 1,000 iterations before another event and never after blur is on.
+    #[must_use]
+    pub fn resets_opacity(&self, it: usize) -> bool {
+        if self.opacity_reset_every == 0
+            || !it.is_multiple_of(self.opacity_reset_every)
+            || it >= self.control_until
+            || self.is_blurred(it)
+        {
+            return false;
+        }
+        let events = [
+            self.densify_dynamic_at,
+            self.unseen_from,
+            self.blur_from,
+            self.blur_step_from,
+            self.kernel_center_from,
+            self.downsample_from,
+        ];
+        !events.into_iter().flatten().any(|event| event > it && event <= it + 1000)
+    }
+
+    /// Learning rate that falls log-linearly from `start` to `end` over `length` iterations of 40,000.
+    #[must_use]
+    pub fn log_linear(&self, it: usize, start: f64, end: f64, length: usize) -> f64 {
+        let scaled = length as f64 * self.iterations as f64 / REFERENCE_ITERATIONS as f64;
+        let progress = (it as f64 / scaled.max(1.0)).min(1.0);
+        ((1.0 - progress) * start.ln() + progress * end.ln()).exp()
+    }
+
+    /// Factor by which blur, bases and coefficients learn faster in short runs: `min(limit, s^-1/2)`, at least 1.
+    #[must_use]
+    pub fn short_run_boost(&self, limit: f64) -> f64 {
+        (REFERENCE_ITERATIONS as f64 / self.iterations as f64).sqrt().min(limit).max(1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: Modelled = Modelled { motion: true, blur: true, unseen: true };
+
+    fn schedule(n: usize, frames: usize) -> Schedule {
+        Schedule::new(&Settings { iterations: n, ..Settings::default() }, frames, ALL)
+    }
+
+    fn first(n: usize, happens: impl Fn(usize) -> bool) -> Option<usize> {
+        (1..=n).find(|&it| happens(it))
+    }
+
+    #[test]
+    fn at_40000_events_fire_at_the_papers_moments() {
+        let s = schedule(40_000, 24);
+        assert_eq!(s.densify_dynamic_at, Some(2500));
+        let unseen: Vec<usize> = (1..=40_000).filter(|&it| s.is_unseen(it)).collect();
+        assert_eq!((unseen[0], unseen[1], *unseen.last().expect("some")), (3005, 3010, 40_000));
+        assert_eq!(first(40_000, |it| s.is_blurred(it)), Some(3501));
+        assert_eq!(first(40_000, |it| s.steps_blur(it)), Some(3701));
+        assert_eq!(first(40_000, |it| s.has_kernel_center(it)), Some(5501));
+        assert_eq!(first(40_000, |it| s.has_downsample(it)), Some(4501));
+        let control: Vec<usize> = (1..=40_000).filter(|&it| s.controls_density(it)).collect();
+        assert_eq!((control.len(), control[0], *control.last().expect("some")), (144, 600, 14_900));
+        assert_eq!(
+            [999, 1000, 1999, 2000, 2999, 3000, 40_000].map(|it| s.sh_degree_at(it)),
+            [0, 1, 1, 2, 2, 3, 3]
+        );
+        // Method facts, section 13: means' rate at 10,000 with S = 5.
+        assert!((s.log_linear(10_000, 8e-4, 8e-6, 30_000) - 1.72e-4).abs() < 1e-6);
+    }
+
+    #[test]
+    fn opacity_is_never_reset_before_an_event_or_under_blur() {
+        let s = schedule(40_000, 24);
+        assert_eq!(first(40_000, |it| s.resets_opacity(it)), None, "3,000 lies 500 before blur");
+        let sharp = Schedule::new(
+            &Settings::default(),
+            24,
+            Modelled { motion: true, blur: false, unseen: true },
+        );
+        let resets: Vec<usize> = (1..=40_000).filter(|&it| sharp.resets_opacity(it)).collect();
+        assert_eq!(resets, vec![3000, 6000, 9000, 12_000]);
+        assert!((1..=9999).all(|it| !schedule(9999, 24).resets_opacity(it)));
+    }
+
+    #[test]
+    fn shorter_runs_keep_the_order_and_the_minimum_distances() {
+        let s = schedule(3000, 24);
+        assert_eq!(s.densify_dynamic_at, Some(187));
+        assert_eq!(s.unseen_from, Some(225));
+        assert_eq!((s.blur_from, s.blur_step_from, s.kernel_center_from), (Some(262), Some(462), Some(762)));
+        assert_eq!(first(3000, |it| s.controls_density(it)), Some(50));
+        let s = schedule(300, 24);
+        assert_eq!(s.densify_dynamic_at, Some(18));
+        assert_eq!((s.blur_from, s.blur_step_from, s.kernel_center_from), (Some(75), Some(112), Some(150)));
+        for n in [200, 300, 1200, 3000, 10_000, 40_000] {
+            let s = schedule(n, 24);
+            let control = (1..=n).filter(|&it| s.controls_density(it)).collect::<Vec<_>>();
+            assert!(control.windows(2).all(|w| w[1] - w[0] >= 25), "at {n}: {control:?}");
+            let order = [s.densify_dynamic_at, s.unseen_from, s.blur_from, s.kernel_center_from];
+            assert!(order.windows(2).all(|w| w[0] < w[1]), "at {n}: {order:?}");
+            assert!(s.kernel_center_from.expect("blur") < n);
+        }
+    }
+
+    #[test]
+    fn each_event_fires_once() {
+        for n in [300, 3000, 40_000] {
+            let s = schedule(n, 24);
+            // Switches go on once and stay on; the one-off event has one moment inside the run.
+            for on in [Schedule::is_blurred, Schedule::steps_blur, Schedule::has_kernel_center] {
+                let flips = (1..n).filter(|&it| on(&s, it) != on(&s, it + 1)).count();
+                assert_eq!((flips, on(&s, 1), on(&s, n)), (1, false, true), "at {n}");
+            }
+            let steps = (1..n).filter(|&it| s.sh_degree_at(it) != s.sh_degree_at(it + 1)).count();
+            assert_eq!((steps, s.sh_degree_at(n)), (3, 3), "at {n}");
+            assert!((1..=n).contains(&s.densify_dynamic_at.expect("motion")));
+        }
+    }
+
+    #[test]
+    fn what_is_not_modelled_never_happens() {
+        let none = Modelled { motion: false, blur: false, unseen: false };
+        let s = Schedule::new(&Settings { iterations: 3000, ..Settings::default() }, 24, none);
+        assert_eq!(s.densify_dynamic_at, None);
+        assert!((1..=3000).all(|it| !s.is_unseen(it) && !s.is_blurred(it) && !s.has_kernel_center(it)));
+    }
+
+    #[test]
+    fn short_runs_learn_faster_up_to_a_limit() {
+        assert!((schedule(40_000, 24).short_run_boost(4.0) - 1.0).abs() < 1e-12);
+        assert!((schedule(10_000, 24).short_run_boost(4.0) - 2.0).abs() < 1e-12);
+        assert!((schedule(300, 24).short_run_boost(4.0) - 4.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,368 @@
+//! One iteration: pose, render, blur, losses, backward, Adam, density control.
+
+use crate::TrainError;
+use crate::density::{
+    DensityOptions, DensityStats, RowEdit, add_to_rows, gather_rows, plan_density, reset_opacity, split_offsets,
+};
+use crate::dynamics::densify;
+use crate::losses;
+use crate::model::host;
+use crate::optimizer::Rates;
+use crate::random::{Purpose, generator};
+use crate::trainer::Trainer;
+use crate::views::{ViewRef, camera_of};
+use bpnet::{BlurField, BlurInputs, BpNet, Extractor, cell_means, centroid, composite, kernel_center_loss};
+use burn::tensor::{Gradients, Tensor};
+use splat_core::{RenderOptions, Rendered, render};
+
+/// Opacities are reset to at most this.
+const RESET_OPACITY: f64 = 0.01;
+
+/// A run may always have so many Gaussians, however small its pictures.
+const LEAST_MAX_GAUSSIANS: usize = 20_000;
+
+/// What an iteration did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepReport {
+    /// 1-based iteration.
+    pub iteration: usize,
+    /// The sum of all weighted terms.
+    pub loss: f64,
+    /// The weighted terms by name.
+    pub terms: Vec<(&'static str, f64)>,
+    /// PSNR of what the model says the camera saw against the frame, in dB.
+    pub psnr: f64,
+    /// Name of the view.
+    pub view: String,
+    /// Number of Gaussians after the iteration.
+    pub gaussians: usize,
+}
+
+/// The weighted loss terms of an iteration.
+#[derive(Default)]
+struct Terms {
+    names: Vec<&'static str>,
+    values: Vec<Tensor<1>>,
+}
+
+impl Terms {
+    /// Adds a term unless its weight is zero.
+    fn add(&mut self, name: &'static str, weight: f64, value: impl FnOnce() -> Tensor<1>) {
+        if weight != 0.0 {
+            self.names.push(name);
+            self.values.push(value().mul_scalar(weight));
+        }
+    }
+}
+
+impl Trainer {
+    /// Does one iteration.
+    ///
+    /// # Errors
+    /// All iterations are done; a loss term or a gradient is not finite; the renderer refuses its input.
+    /// After an error the trainer holds the state of the last whole iteration, except after
+    /// [`TrainError::Gradient`], after which it must not be saved.
+    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        if self.is_done() {
+            return Err(TrainError::Finished { iterations: self.settings.iterations });
+        }
+        let it = self.progress.iteration + 1;
+        let unseen = self.schedule.is_unseen(it);
+        let view = if unseen { self.next_unseen_view() } else { self.next_training_view() };
+        let (frame, name) = (view.frame, view.name.to_owned());
+
+        let posed = self.model.pose(view.time);
+        let camera = camera_of(&self.scene, frame, self.near());
+        let options = RenderOptions { sh_degree: self.schedule.sh_degree_at(it) };
+        let gathers = self.schedule.gathers_density(it);
+        let screen_grad =
+            gathers.then(|| Tensor::<1>::zeros([self.model.num_gaussians()], &self.device).require_grad());
+        let rendered = render(
+            posed.splats,
+            view.pose(&self.device),
+            &camera,
+            &options,
+            posed.dynamic,
+            screen_grad.clone(),
+        )?;
+        let sharp = rendered.color();
+        let field = self.blur_field(it, &view, &rendered)?;
+        let blurred = match &field {
+            Some(field) => composite(sharp.clone(), field)?,
+            None => sharp.clone(),
+        };
+        let mut target = view.image(&self.device);
+        if let Some(holes) = view.holes(&self.device) {
+            // Holes take the render itself, so that windows over them carry no false loss.
+            let shape = target.dims();
+            target = target.mask_where(holes.expand(shape), blurred.clone().detach());
+        }
+        let psnr = current_psnr(&blurred, &target);
+
+        let mut terms = Terms::default();
+        let shifts = self.add_image_terms(&mut terms, it, &view, &rendered, field.as_ref(), sharp, blurred, target);
+        self.add_motion_terms(&mut terms, &view);
+
+        let stacked = Tensor::cat(terms.values, 0);
+        let values: Vec<f64> = host(stacked.clone().detach()).into_iter().map(f64::from).collect();
+        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+            return Err(TrainError::NotFinite { iteration: it, view: name, term: terms.names[at], value: values[at] });
+        }
+        let mut grads = stacked.sum().backward();
+
+        if let Some(screen_grad) = &screen_grad
+            && let Some(norms) = screen_grad.grad_remove(&mut grads)
+        {
+            self.density.accumulate(&host(norms), rendered.radii());
+        }
+        if let Some(shifts) = shifts {
+            self.gauge.record(frame, shifts);
+        }
+        self.step_parameters(it, &name, &mut grads)?;
+        self.change_gaussians(it);
+
+        self.progress.iteration = it;
+        if unseen {
+            self.progress.unseen_draws += 1;
+        } else {
+            self.progress.training_draws += 1;
+        }
+        Ok(StepReport {
+            iteration: it,
+            loss: values.iter().sum(),
+            terms: terms.names.into_iter().zip(values).collect(),
+            psnr,
+            view: name,
+            gaussians: self.model.num_gaussians(),
+        })
+    }
+
+    /// Kernel and intensity of every pixel, where blur is modelled. During the hold no graph is recorded.
+    fn blur_field(
+        &self,
+        it: usize,
+        view: &ViewRef<'_>,
+        rendered: &Rendered,
+    ) -> Result<Option<BlurField>, TrainError> {
+        let Some(net) = self.model.blur.as_ref().filter(|_| self.schedule.is_blurred(it)) else {
+            return Ok(None);
+        };
+        let inputs = blur_inputs(rendered, self.survey.scene_size);
+        let extractor =
+            if self.settings.blur.train_extractor { Extractor::Trained } else { Extractor::Frozen };
+        Ok(Some(if self.schedule.steps_blur(it) {
+            net.forward(view.frame, &inputs, extractor)?
+        } else {
+            without_graph(net).forward(view.frame, &inputs, extractor)?
+        }))
+    }
+
+    /// The losses of the picture; returns the kernels' live shifts for the gauge.
+    fn add_image_terms(
+        &self,
+        terms: &mut Terms,
+        it: usize,
+        view: &ViewRef<'_>,
+        rendered: &Rendered,
+        field: Option<&BlurField>,
+        sharp: Tensor<3>,
+        blurred: Tensor<3>,
+        target: Tensor<3>,
+    ) -> Option<Tensor<2>> {
+        let weights = &self.settings.loss;
+        terms.add("image", 1.0, || losses::photometric(blurred, target.clone(), weights.ssim));
+        if let Some(depth) = view.depth {
+            terms.add("depth", weights.depth, || {
+                losses::depth_loss(rendered.depth(), &rendered.alpha(), depth, self.survey.scene_size)
+            });
+        }
+        if let (Some(mask), Some(dynamic)) = (view.mask, rendered.features()) {
+            terms.add("mask", weights.mask, || {
+                losses::mask_loss(dynamic.squeeze_dim(2), mask, losses::mask_band(view.width))
+            });
+        }
+        let field = field?;
+        if self.schedule.has_downsample(it) {
+            terms.add("downsample", weights.downsample, || losses::downsample_loss(sharp, target, 4));
+        }
+        if !self.schedule.steps_blur(it) {
+            return None;
+        }
+        if self.schedule.has_kernel_center(it) {
+            terms.add("kernel_center", weights.kernel_center, || kernel_center_loss(field));
+            terms.add("intensity", weights.intensity, || losses::intensity_penalty(field.intensity.clone()));
+        }
+        if view.is_unseen() || weights.gauge == 0.0 {
+            return None;
+        }
+        let [rows, columns] = self.settings.blur.gauge_cells;
+        let shifts = cell_means(centroid(field), rows, columns);
+        terms.add("gauge", weights.gauge, || self.gauge.penalty(view.frame, shifts.clone()));
+        Some(shifts)
+    }
+
+    /// Smoothness of the motion, on positions divided by S.
+    fn add_motion_terms(&self, terms: &mut Terms, view: &ViewRef<'_>) {
+        let Some(motion) = &self.model.motion else { return };
+        let weights = &self.settings.loss;
+        let size = self.survey.scene_size;
+        terms.add("bases_acceleration", weights.bases_acceleration, || {
+            motion_bases::bases_acceleration(&motion.bases, size)
+        });
+        let last = self.scene.frames.len() as f32 - 1.0;
+        if last < 2.0 || self.model.num_dynamic == 0 {
+            return;
+        }
+        let middle = view.time.clamp(1.0, last - 1.0);
+        let means = self.model.dynamic_means();
+        let at =
+            |time: f32| motion.bases.motion_at(&motion.coefficients, time).transform_means(&means);
+        let (before, now, after) = (at(middle - 1.0), at(middle), at(middle + 1.0));
+        terms.add("means_acceleration", weights.means_acceleration, || {
+            motion_bases::means_acceleration(&before, &now, &after, size)
+        });
+        terms.add("along_ray", weights.along_ray, || {
+            motion_bases::along_ray(&before, &now, &after, view.center(), size)
+        });
+    }
+
+    fn step_parameters(&mut self, it: usize, view: &str, grads: &mut Gradients) -> Result<(), TrainError> {
+        let rates = Rates {
+            rates: &self.settings.learning_rates,
+            schedule: &self.schedule,
+            scene_size: self.survey.scene_size,
+            sh_columns: self.model.sh.dims()[1],
+        };
+        for (name, parameter) in self.model.parameters_mut() {
+            let rate = rates.of(&name, it);
+            self.optimizer.step(&name, parameter, grads, &rate).map_err(|problem| TrainError::Gradient {
+                iteration: it,
+                view: view.to_owned(),
+                parameter: name,
+                problem,
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Dynamic densification, density control and opacity reset, each at its moment.
+    fn change_gaussians(&mut self, it: usize) {
+        if self.schedule.densify_dynamic_at == Some(it) {
+            self.densify_dynamic();
+        }
+        if self.schedule.controls_density(it) {
+            self.control_density(it);
+        }
+        if self.schedule.resets_opacity(it) {
+            self.model.opacity_logits = reset_opacity(&self.model.opacity_logits, RESET_OPACITY);
+            if let Some(state) = self.optimizer.states.get_mut("gaussians.opacity_logits") {
+                state.zero_moments();
+            }
+        }
+    }
+
+    /// The most Gaussians this run may have.
+    fn max_gaussians(&self) -> usize {
+        let per_pixel = self.settings.gaussians.max_per_pixel;
+        if per_pixel == 0.0 {
+            return usize::MAX;
+        }
+        let pixels = self.scene.frames[0].view.camera.num_pixels();
+        LEAST_MAX_GAUSSIANS.max((per_pixel * pixels as f64) as usize)
+    }
+
+    fn control_density(&mut self, it: usize) {
+        let g = &self.settings.gaussians;
+        let size = self.survey.scene_size;
+        let height = self.scene.frames[0].view.camera.height as f64;
+        let options = DensityOptions {
+            grad_threshold: (g.gradient_threshold * 288.0 / height) as f32,
+            split_scale: (g.split_scale * size) as f32,
+            prune_scale: self.schedule.prunes_scale(it).then_some((g.prune_scale * size) as f32),
+            prune_opacity: g.prune_opacity as f32,
+            max_gaussians: self.max_gaussians(),
+        };
+        let (log_scales, quats) = (host(self.model.log_scales.clone()), host(self.model.quats.clone()));
+        let logits = host(self.model.opacity_logits.clone());
+        let edit =
+            plan_density(&self.density.average(), &log_scales, &logits, self.model.num_dynamic, &options);
+        let offsets = split_offsets(
+            &edit,
+            &log_scales,
+            &quats,
+            &mut generator(self.settings.seed, Purpose::Split, it as u64),
+        );
+        self.density = DensityStats::new(edit.len());
+        if edit.is_identity(self.model.num_gaussians()) {
+            return;
+        }
+        for (name, parameter) in self.model.parameters_mut() {
+            let Some(edit) = edit_of(&name, &edit) else { continue };
+            *parameter = gather_rows(parameter, &edit);
+            self.optimizer.edit(&name, &edit);
+        }
+        self.model.means = add_to_rows(&self.model.means, offsets.means);
+        self.model.log_scales = add_to_rows(&self.model.log_scales, offsets.log_scales);
+        self.model.num_dynamic = edit.num_dynamic;
+    }
+
+    fn densify_dynamic(&mut self) {
+        let (old, dynamic) = (self.model.num_gaussians(), self.model.num_dynamic);
+        let room = self.max_gaussians().saturating_sub(old);
+        let Some(new) = densify(&self.model, &self.scene, &self.settings, room, &self.device) else { return };
+        let edit = RowEdit::append_dynamic(old, dynamic, &new.parents);
+        let rows = new.gaussians.by_name();
+        for (name, parameter) in self.model.parameters_mut() {
+            let Some(edit) = edit_of(&name, &edit) else { continue };
+            *parameter = match rows.get(name.as_str()) {
+                Some(rows) => insert_rows(parameter, dynamic, rows),
+                None => gather_rows(parameter, &edit),
+            };
+            self.optimizer.edit(&name, &edit);
+        }
+        self.model.num_dynamic = edit.num_dynamic;
+        self.density = DensityStats::new(edit.len());
+    }
+}
+
+/// What an edit of the Gaussians' rows means for a parameter; `None` for one that has no row per Gaussian.
+fn edit_of(name: &str, edit: &RowEdit) -> Option<RowEdit> {
+    if name.starts_with("gaussians.") {
+        Some(edit.clone())
+    } else {
+        (name == "motion.coefficients").then(|| edit.dynamic())
+    }
+}
+
+/// `tensor` with `rows` inserted before row `at`: a new leaf.
+fn insert_rows(tensor: &Tensor<2>, at: usize, rows: &Tensor<2>) -> Tensor<2> {
+    let n = tensor.dims()[0];
+    let old = tensor.clone().detach();
+    Tensor::cat(vec![old.clone().slice([0..at]), rows.clone(), old.slice([at..n])], 0).detach().require_grad()
+}
+
+/// What BP-Net sees of a render: colour, disparity times S, dynamic mask.
+pub(crate) fn blur_inputs(rendered: &Rendered, scene_size: f64) -> BlurInputs {
+    let alpha = rendered.alpha().clamp_min(1e-3);
+    let depth = (rendered.depth() / alpha).clamp_min(0.05 * scene_size);
+    let mask = match rendered.features() {
+        Some(dynamic) => dynamic.squeeze_dim(2),
+        None => rendered.alpha().zeros_like(),
+    };
+    BlurInputs { color: rendered.color(), disparity: depth.recip().mul_scalar(scene_size), mask }
+}
+
+/// The same network with constants for parameters.
+fn without_graph(net: &BpNet) -> BpNet {
+    let mut net = net.clone();
+    for (_, parameter) in net.parameters_mut() {
+        *parameter = parameter.clone().detach();
+    }
+    net
+}
+
+/// PSNR in dB of detached pictures.
+fn current_psnr(a: &Tensor<3>, b: &Tensor<3>) -> f64 {
+    let error = (a.clone().detach() - b.clone().detach()).powi_scalar(2).mean();
+    -10.0 * f64::from(host(error)[0]).max(1e-12).log10()
+}

@@ -1,0 +1,249 @@
+//! Training end to end on a tiny scene: a textured wall, a patch that moves in front of it, and a
+//! camera that moves during the exposure.
+
+use burn::tensor::Device;
+use glam::{DAffine3, DVec2, DVec3};
+use io::{Frame, Image, Map, QueryTracks, Scene, SceneFormat, TrackSample, Tracks, View};
+use limpid_tests::devices;
+use splat_core::Camera;
+use trainer::{Settings, Trainer};
+
+const FRAMES: usize = 6;
+const WIDTH: usize = 40;
+const HEIGHT: usize = 28;
+const WALL: f64 = 4.0;
+const PATCH: f64 = 3.0;
+
+fn camera() -> Camera {
+    Camera::pinhole(WIDTH, HEIGHT, 40.0, 40.0, 20.0, 14.0)
+}
+
+fn pose(time: f64) -> DAffine3 {
+    DAffine3::from_translation(DVec3::new(-0.12 * time, 0.02 * (2.0 * time).sin(), 0.0))
+}
+
+/// Centre of the moving patch; it is one unit of half a length wide.
+fn patch_center(time: f64) -> DVec2 {
+    DVec2::new(-0.3 + 0.15 * time, 0.1)
+}
+
+/// Colour, depth and whether the patch is seen.
+fn trace(time: f64, pixel: DVec2) -> ([f64; 3], f64, bool) {
+    let center = pose(time).inverse().translation;
+    let ray = camera().unproject(pixel, 1.0);
+    let at = |z: f64| DVec2::new(center.x + ray.x * z, center.y + ray.y * z);
+    let on_patch = at(PATCH) - patch_center(time);
+    if on_patch.abs().max_element() < 0.35 {
+        let s = (9.0 * on_patch.x).sin() * (7.0 * on_patch.y).cos();
+        return ([0.8 + 0.15 * s, 0.3 - 0.2 * s, 0.2], PATCH, true);
+    }
+    let p = at(WALL);
+    let s = (6.0 * p.x).sin() * (5.0 * p.y).sin();
+    ([0.4 + 0.3 * s, 0.5 - 0.2 * s, 0.5 + 0.3 * (4.0 * p.x).cos()], WALL, false)
+}
+
+fn picture(time: f64, exposure: f64) -> Image {
+    let samples = 7;
+    let mut pixels = Vec::new();
+    for i in 0..WIDTH * HEIGHT {
+        let pixel = DVec2::new((i % WIDTH) as f64 + 0.5, (i / WIDTH) as f64 + 0.5);
+        let mut sum = [0.0; 3];
+        for k in 0..samples {
+            let t = time + exposure * (k as f64 / (samples - 1) as f64 - 0.5);
+            for (s, c) in sum.iter_mut().zip(trace(t, pixel).0) {
+                *s += c / samples as f64;
+            }
+        }
+        pixels.extend(sum.map(|c| c as f32));
+    }
+    Image { width: WIDTH, height: HEIGHT, pixels }
+}
+
+fn scene() -> Scene {
+    let map = |time: f64, of: fn(f64, bool) -> f64| {
+        let values = (0..WIDTH * HEIGHT).map(|i| {
+            let (_, depth, patch) = trace(time, DVec2::new((i % WIDTH) as f64 + 0.5, (i / WIDTH) as f64 + 0.5));
+            of(depth, patch) as f32
+        });
+        Some(Map { width: WIDTH, height: HEIGHT, values: values.collect() })
+    };
+    let view = |index: usize, exposure: f64| View {
+        name: format!("{index:05}"),
+        camera: camera(),
+        cam_from_world: pose(index as f64),
+        time: index as f32,
+        image: picture(index as f64, exposure),
+    };
+    let frames = (0..FRAMES).map(|i| Frame {
+        view: view(i, 0.9),
+        depth: map(i as f64, |depth, _| depth),
+        mask: map(i as f64, |_, patch| f64::from(u8::from(patch))),
+    });
+    let queries = (0..FRAMES).map(|query| {
+        let mut samples = Vec::new();
+        for k in 0..36 {
+            let offset = DVec2::new((k % 6) as f64 - 2.5, (k / 6) as f64 - 2.5) * 0.12;
+            for t in 0..FRAMES {
+                let p = patch_center(t as f64) + offset;
+                let seen = camera().project(pose(t as f64).transform_point3(p.extend(PATCH)));
+                samples.push(TrackSample {
+                    x: seen.x as f32,
+                    y: seen.y as f32,
+                    occlusion: -5.0,
+                    expected_distance: -5.0,
+                });
+            }
+        }
+        QueryTracks { frame: query, samples }
+    });
+    Scene {
+        root: std::env::temp_dir(),
+        name: "tiny".to_owned(),
+        format: SceneFormat::ShapeOfMotion,
+        downscale: 1,
+        frames: frames.collect(),
+        test: (0..FRAMES).map(|i| view(i, 0.0)).collect(),
+        points: Vec::new(),
+        tracks: Some(Tracks { num_frames: FRAMES, queries: queries.collect() }),
+        notes: Vec::new(),
+    }
+}
+
+/// Every event of the schedule falls into the first 60 iterations.
+fn settings() -> Settings {
+    let mut settings = Settings { iterations: 200, ..Settings::default() };
+    settings.motion.num_bases = 4;
+    settings.motion.first_fit_steps = 40;
+    settings.blur.hold = 0;
+    settings.blur.kernel_size = 5;
+    settings.loss.intensity = 0.001;
+    settings
+}
+
+/// The bits of all parameters, and the losses, after `steps` iterations.
+fn train(device: &Device, steps: usize) -> (Vec<f64>, Vec<(String, Vec<u32>)>) {
+    let mut trainer = Trainer::new(scene(), settings(), device).expect("a trainer");
+    let losses = (0..steps).map(|_| trainer.step().expect("a step").loss).collect();
+    (losses, bits(&trainer))
+}
+
+fn bits(trainer: &Trainer) -> Vec<(String, Vec<u32>)> {
+    let parameters = trainer.model().parameters().into_iter();
+    parameters
+        .map(|(name, t)| {
+            let values = t.try_into_vec_as::<f32>().expect("readable");
+            (name, values.into_iter().map(f32::to_bits).collect())
+        })
+        .collect()
+}
+
+fn in_pool<T: Send>(threads: usize, f: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool").install(f)
+}
+
+fn assert_same(a: &[(String, Vec<u32>)], b: &[(String, Vec<u32>)], what: &str) {
+    assert_eq!(a.len(), b.len(), "{what}: number of parameters");
+    for ((name, left), (_, right)) in a.iter().zip(b) {
+        let differing = left.iter().zip(right).filter(|(x, y)| x != y).count();
+        assert!(left.len() == right.len() && differing == 0, "{what}: {differing} of {} values of {name} differ", left.len());
+    }
+}
+
+#[test]
+fn sixty_steps_lower_the_loss_and_use_every_part() {
+    for (name, device) in devices() {
+        let mut trainer = Trainer::new(scene(), settings(), &device).expect("a trainer");
+        assert!(trainer.survey().movers, "{name}: {:?}", trainer.survey().notes);
+        let start = trainer.model().clone();
+        let mut terms = std::collections::BTreeSet::new();
+        let mut losses = Vec::new();
+        for _ in 0..60 {
+            let report = trainer.step().expect("a step");
+            terms.extend(report.terms.iter().map(|(term, _)| *term));
+            losses.push(report.terms.iter().filter(|(term, _)| *term == "image").map(|(_, v)| v).sum::<f64>());
+        }
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+        assert!(mean(&losses[50..]) < 0.8 * mean(&losses[..10]), "{name}: {losses:?}");
+        let wanted = ["along_ray", "bases_acceleration", "depth", "gauge", "image", "mask", "means_acceleration"];
+        for term in wanted {
+            assert!(terms.contains(term), "{name}: no term {term} in {terms:?}");
+        }
+        assert!(trainer.model().num_dynamic > start.num_dynamic, "{name}: dynamic densification adds Gaussians");
+        for (parameter, after) in trainer.model().parameters() {
+            let before = start.parameters().into_iter().find(|(n, _)| *n == parameter).expect("same names").1;
+            let moved = before.dims() != after.dims()
+                || (before.inner() - after.inner()).abs().max().into_scalar::<f32>() > 0.0;
+            assert!(moved, "{name}: {parameter} has not moved");
+        }
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits_with_one_and_two_threads() {
+    for (name, device) in devices() {
+        let (one_losses, one) = in_pool(1, || train(&device, 60));
+        let (two_losses, two) = in_pool(2, || train(&device, 60));
+        assert_eq!(one_losses, two_losses, "{name}");
+        assert_same(&one, &two, name);
+    }
+}
+
+#[test]
+fn saving_and_loading_in_the_middle_changes_no_bit() {
+    for (name, device) in devices() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut trainer = Trainer::new(scene(), settings(), &device).expect("a trainer");
+        for _ in 0..52 {
+            trainer.step().expect("a step");
+        }
+        trainer.save(folder.path()).expect("saved");
+        let mut resumed = Trainer::load(folder.path(), scene(), &device).expect("loaded");
+        for _ in 0..8 {
+            let (a, b) = (trainer.step().expect("a step"), resumed.step().expect("a step"));
+            assert_eq!(a, b, "{name}");
+        }
+        assert_same(&bits(&trainer), &bits(&resumed), name);
+    }
+}
+
+#[test]
+fn a_broken_checkpoint_is_an_error_that_names_the_file() {
+    let device = Device::flex();
+    let folder = tempfile::tempdir().expect("a folder");
+    let trainer = Trainer::new(scene(), settings(), &device).expect("a trainer");
+    trainer.save(folder.path()).expect("saved");
+    let file = folder.path().join("state.safetensors");
+    let whole = std::fs::read(&file).expect("bytes");
+    for length in [0, 7, 100, whole.len() / 2, whole.len() - 1] {
+        std::fs::write(&file, &whole[..length]).expect("written");
+        let error = Trainer::load(folder.path(), scene(), &device).expect_err("truncated").to_string();
+        assert!(error.contains("state.safetensors"), "{error}");
+    }
+    std::fs::write(&file, &whole).expect("written");
+    let mut shorter = scene();
+    shorter.frames.pop();
+    let error = Trainer::load(folder.path(), shorter, &device).expect_err("another scene").to_string();
+    assert!(error.contains("6 frames") && error.contains("has 5"), "{error}");
+}
+
+#[test]
+fn a_static_scene_without_blur_models_neither() {
+    let mut still = scene();
+    still.tracks = None;
+    for frame in &mut still.frames {
+        frame.mask = None;
+    }
+    let mut settings = settings();
+    settings.blur.enabled = false;
+    let mut trainer = Trainer::new(still, settings, &Device::flex()).expect("a trainer");
+    assert!(trainer.model().motion.is_none() && trainer.model().blur.is_none());
+    assert_eq!(trainer.model().num_dynamic, 0);
+    for _ in 0..30 {
+        trainer.step().expect("a step");
+    }
+    let names: Vec<String> = trainer.model().parameters().into_iter().map(|(name, _)| name).collect();
+    assert!(names.iter().all(|name| name.starts_with("gaussians.")), "{names:?}");
+    let evaluation = trainer.evaluate().expect("scores");
+    assert_eq!(evaluation.kernel_centroid_px, None);
+    assert!(evaluation.test.expect("test views").psnr > 15.0);
+}
