@@ -1,1 +1,219 @@
-fn main() {}
+//! `cargo xtask …`: development commands.
+//!
+//! A thin launcher over cargo. It compiles in a second, depends on nothing, and never on Burn: what
+//! it starts shares the profile and the features of a plain `cargo test --workspace`, so that nothing
+//! is compiled twice.
+
+use std::env;
+use std::ffi::{OsStr, OsString};
+use std::path::Path;
+use std::process::{Command, ExitCode};
+
+const HELP: &str = "\
+cargo xtask COMMAND
+
+  train [ARGS]   train a scene; without arguments, the demo in demo/limpid.toml
+                 (cargo xtask train --help lists the arguments)
+  fmt            check the formatting
+  clippy         lint; a warning is an error
+  doc            build the documentation; a warning is an error
+  test [ARGS]    cargo test --workspace
+  ci             fmt, clippy, doc and test, one after the other
+";
+
+/// The steps of `ci` by name, as cargo's arguments.
+const STEPS: [(&str, &[&str]); 4] = [
+    ("fmt", &["fmt", "--all", "--check"]),
+    (
+        "clippy",
+        &[
+            "clippy",
+            "--workspace",
+            "--all-targets",
+            "--",
+            "-D",
+            "warnings",
+        ],
+    ),
+    ("doc", &["doc", "--workspace", "--no-deps"]),
+    ("test", &["test", "--workspace"]),
+];
+
+fn main() -> ExitCode {
+    let mut args = env::args_os().skip(1);
+    let command = args.next();
+    let rest: Vec<OsString> = args.collect();
+    let step = |name: &str| {
+        let (_, args) = STEPS.iter().find(|(step, _)| *step == name)?;
+        Some(cargo_in_root(args))
+    };
+    match command.as_deref().and_then(OsStr::to_str) {
+        Some("train") => become_command(train(&rest)),
+        Some("ci") => STEPS
+            .iter()
+            .try_for_each(|(_, args)| wait(cargo_in_root(args)))
+            .map_or_else(|code| code, |()| ExitCode::SUCCESS),
+        Some("help" | "--help" | "-h") => {
+            eprint!("{HELP}");
+            ExitCode::SUCCESS
+        }
+        Some(name) if let Some(mut command) = step(name) => {
+            command.args(&rest);
+            become_command(command)
+        }
+        _ => {
+            eprint!("{HELP}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// The command that trains with `args`.
+///
+/// A path in `args` means what it means to the user's shell: the folder stays as it is. Only the demo
+/// runs in the workspace's root, so that its results lie in `out/` there.
+fn train(args: &[OsString]) -> Command {
+    let mut command = cargo();
+    command.arg("run").arg("--manifest-path");
+    command.arg(root().join("Cargo.toml"));
+    command.args(["--package", "trainer", "--bin", "limpid"]);
+    if let Some(backend) = backend_feature(args) {
+        command.args(["--features", backend]);
+    }
+    command.args(["--", "train"]);
+    if args.is_empty() {
+        command.args(["--config", "demo/limpid.toml"]);
+        command.current_dir(root());
+    }
+    command.args(args);
+    command
+}
+
+/// The feature that compiles the backend which `args` ask for, unless it is in the default build.
+fn backend_feature(args: &[OsString]) -> Option<&'static str> {
+    let mut values = args.iter().enumerate().filter_map(|(i, arg)| {
+        if arg == "--backend" {
+            args.get(i + 1)?.to_str()
+        } else {
+            arg.to_str()?.strip_prefix("--backend=")
+        }
+    });
+    match values.next_back()? {
+        "ndarray" => Some("ndarray"),
+        "wgpu" => Some("wgpu"),
+        _ => None,
+    }
+}
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("xtask lies in the workspace's root")
+}
+
+/// The cargo that started this program.
+fn cargo() -> Command {
+    Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+}
+
+fn cargo_in_root(args: &[&str]) -> Command {
+    let mut command = cargo();
+    command.args(args).current_dir(root());
+    if args[0] == "doc" {
+        command.env("RUSTDOCFLAGS", "-D warnings");
+    }
+    command
+}
+
+/// Runs a step of several; the exit code of a failed one comes back as an error.
+fn wait(mut command: Command) -> Result<(), ExitCode> {
+    match command.status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(exit_code(status.code())),
+        Err(error) => Err(could_not_start(&command, &error)),
+    }
+}
+
+/// Runs the last command there is by becoming it, as `cargo run` itself does: a Ctrl-C then reaches
+/// the program alone, which ends when its checkpoint is written, and not before.
+#[cfg(unix)]
+fn become_command(mut command: Command) -> ExitCode {
+    use std::os::unix::process::CommandExt as _;
+    let error = command.exec();
+    could_not_start(&command, &error)
+}
+
+/// Without `exec`, waits for the child; cargo shields itself from Ctrl-C and waits on its own.
+#[cfg(not(unix))]
+fn become_command(command: Command) -> ExitCode {
+    wait(command).map_or_else(|code| code, |()| ExitCode::SUCCESS)
+}
+
+fn exit_code(code: Option<i32>) -> ExitCode {
+    // A child that a signal ended has no code.
+    ExitCode::from(code.and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
+}
+
+fn could_not_start(command: &Command, error: &std::io::Error) -> ExitCode {
+    eprintln!(
+        "xtask: cannot start {}: {error}",
+        command.get_program().display()
+    );
+    ExitCode::FAILURE
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn words(line: &str) -> Vec<OsString> {
+        line.split_whitespace().map(OsString::from).collect()
+    }
+
+    fn train_line(args: &str) -> String {
+        let command = train(&words(args));
+        let args: Vec<_> = command
+            .get_args()
+            .skip(3)
+            .map(OsStr::to_string_lossy)
+            .collect();
+        args.join(" ")
+    }
+
+    #[test]
+    fn without_arguments_the_demo_is_trained() {
+        assert_eq!(
+            train_line(""),
+            "--package trainer --bin limpid -- train --config demo/limpid.toml",
+            "cargo's arguments"
+        );
+    }
+
+    #[test]
+    fn arguments_go_through_as_they_are() {
+        assert_eq!(
+            train_line("--scene a --set seed=1 --resume"),
+            "--package trainer --bin limpid -- train --scene a --set seed=1 --resume",
+            "cargo's arguments"
+        );
+    }
+
+    #[test]
+    fn only_a_backend_that_is_not_in_the_default_build_adds_a_feature() {
+        for (args, feature) in [
+            ("--backend wgpu --out o", Some("wgpu")),
+            ("--out o --backend=ndarray", Some("ndarray")),
+            ("--backend flex", None),
+            ("--backend", None),
+            ("--backend nonsense", None),
+            ("", None),
+        ] {
+            assert_eq!(backend_feature(&words(args)), feature, "{args}");
+        }
+        assert!(
+            train_line("--backend wgpu").contains("--features wgpu -- train --backend wgpu"),
+            "{}",
+            train_line("--backend wgpu")
+        );
+    }
+}
