@@ -1,0 +1,432 @@
+//! Motion bases as tensors: transforms against hand calculation, gradients against differences.
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use glam::{DMat3, DVec3};
+use limpid_tests::{GradLimits, check_gradients, devices};
+use motion_bases::{
+    MotionBases, along_ray, bases_acceleration, gram_schmidt, means_acceleration,
+    positions_all_frames,
+};
+
+fn tensor(values: &[f64], shape: [usize; 2], device: &Device, dtype: DType) -> Tensor<2> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, dtype))
+}
+
+fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+    tensor.into_data().iter::<f64>().collect()
+}
+
+/// Numbers in [-1, 1) that look random and are the same everywhere.
+fn noise(count: usize, seed: u64) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) + 1;
+    (0..count)
+        .map(|_| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        })
+        .collect()
+}
+
+fn assert_close(found: &[f64], expected: &[f64], limit: f64, what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    for (k, (a, b)) in found.iter().zip(expected).enumerate() {
+        assert!((a - b).abs() <= limit, "{what}: entry {k} is {a}, not {b}");
+    }
+}
+
+/// The textbook's Gram–Schmidt; row-major rotation.
+fn reference_rotation(six: &[f64]) -> DMat3 {
+    let (a1, a2) = (DVec3::from_slice(&six[..3]), DVec3::from_slice(&six[3..6]));
+    let x = a1 / a1.length();
+    let p = a2 - a2.dot(x) * x;
+    let y = p / p.length();
+    DMat3::from_cols(x, y, x.cross(y))
+}
+
+fn row_major(m: DMat3) -> [f64; 9] {
+    m.transpose().to_cols_array()
+}
+
+const IDENTITY: [f64; 6] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+/// 90 degrees about z: x goes to y, y to -x.
+const QUARTER: [f64; 6] = [0.0, 1.0, 0.0, -1.0, 0.0, 0.0];
+
+/// Two bases over three frames. The first turns by 90 degrees in frame 1, the second never.
+fn two_bases(device: &Device, dtype: DType) -> MotionBases {
+    let rots = [IDENTITY, QUARTER, IDENTITY, IDENTITY, IDENTITY, IDENTITY].concat();
+    let transls = [
+        [0.0, 0.0, 0.0],
+        [1.0, 2.0, 3.0],
+        [4.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0],
+        [3.0, 0.0, 1.0],
+        [0.0, 8.0, 0.0],
+    ]
+    .concat();
+    MotionBases {
+        rots: tensor(&rots, [2, 18], device, dtype),
+        transls: tensor(&transls, [2, 9], device, dtype),
+        num_frames: 3,
+    }
+}
+
+#[test]
+fn transforms_agree_with_hand_calculation() {
+    for (name, device) in devices() {
+        for dtype in [DType::F32, DType::F64] {
+            let bases = two_bases(&device, dtype);
+            // All of the first basis, all of the second, half of each.
+            let logits = tensor(&[60.0, 0.0, 0.0, 60.0, 7.0, 7.0], [3, 2], &device, dtype);
+            let means = tensor(
+                &[1.0, 0.0, 5.0, 1.0, 0.0, 5.0, 1.0, 0.0, 5.0],
+                [3, 3],
+                &device,
+                dtype,
+            );
+            let at = |time: f32| values(bases.motion_at(&logits, time).transform_means(&means));
+            let still = [1.0, 0.0, 5.0];
+            assert_close(&at(0.0), &[still, still, still].concat(), 1e-6, name);
+            // Half of a quarter turn: the 6D vectors' mean is (½, ½, 0, -½, ½, 0), 45 degrees.
+            let half = 0.5_f64.sqrt();
+            let expected = [
+                [1.0, 3.0, 8.0],
+                [4.0, 0.0, 6.0],
+                [2.0 + half, 1.0 + half, 7.0],
+            ];
+            assert_close(&at(1.0), &expected.concat(), 2e-6, name);
+            let expected = [[5.0, 0.0, 5.0], [1.0, 8.0, 5.0], [3.0, 4.0, 5.0]];
+            assert_close(&at(2.0), &expected.concat(), 2e-6, name);
+            // Half-way in time is half-way between the 6D vectors too; translations are their mean.
+            let found = at(0.5);
+            assert_close(&found[..3], &[0.5 + half, 1.0 + half, 6.5], 2e-6, name);
+            // Outside, the ends hold.
+            assert_eq!(
+                (at(-3.0), at(1e9), at(f32::INFINITY)),
+                (at(0.0), at(2.0), at(2.0)),
+                "{name}"
+            );
+            let motion = bases.motion_at(&logits, 1.0);
+            let expected = [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+            assert_close(&values(motion.rotations)[..9], &expected, 1e-6, name);
+        }
+    }
+}
+
+#[test]
+fn a_fractional_time_interpolates_before_gram_schmidt() {
+    for (name, device) in devices() {
+        let (b, n, f) = (3, 4, 5);
+        let (rots, transls, logits) = (noise(b * n * 6, 1), noise(b * n * 3, 2), noise(f * b, 3));
+        let bases = MotionBases {
+            rots: tensor(&rots, [b, n * 6], &device, DType::F64),
+            transls: tensor(&transls, [b, n * 3], &device, DType::F64),
+            num_frames: n,
+        };
+        let motion = bases.motion_at(&tensor(&logits, [f, b], &device, DType::F64), 1.75);
+        let (rotations, translations) = (values(motion.rotations), values(motion.translations));
+        for g in 0..f {
+            let weights: Vec<f64> = logits[g * b..(g + 1) * b].iter().map(|l| l.exp()).collect();
+            let total: f64 = weights.iter().sum();
+            let blend = |frames: &[f64], width: usize, c: usize| -> f64 {
+                (0..b)
+                    .map(|k| {
+                        let at = |t: usize| frames[(k * n + t) * width + c];
+                        weights[k] / total * (0.25 * at(1) + 0.75 * at(2))
+                    })
+                    .sum()
+            };
+            let six: Vec<f64> = (0..6).map(|c| blend(&rots, 6, c)).collect();
+            let expected = row_major(reference_rotation(&six));
+            assert_close(&rotations[9 * g..9 * g + 9], &expected, 1e-12, name);
+            let expected: Vec<f64> = (0..3).map(|c| blend(&transls, 3, c)).collect();
+            assert_close(&translations[3 * g..3 * g + 3], &expected, 1e-12, name);
+        }
+    }
+}
+
+#[test]
+fn all_frames_at_once_are_the_frames_one_by_one() {
+    for (name, device) in devices() {
+        let (b, n, f) = (4, 5, 7);
+        let bases = MotionBases {
+            rots: tensor(&noise(b * n * 6, 4), [b, n * 6], &device, DType::F64),
+            transls: tensor(&noise(b * n * 3, 5), [b, n * 3], &device, DType::F64),
+            num_frames: n,
+        };
+        let logits = tensor(&noise(f * b, 6), [f, b], &device, DType::F64);
+        let means = tensor(&noise(f * 3, 7), [f, 3], &device, DType::F64);
+        let all = values(positions_all_frames(&bases, &logits, &means));
+        for t in 0..n {
+            let one = values(bases.motion_at(&logits, t as f32).transform_means(&means));
+            let of_all: Vec<f64> = (0..3 * f)
+                .map(|i| all[(i / 3 * n + t) * 3 + i % 3])
+                .collect();
+            assert_close(&of_all, &one, 1e-12, name);
+        }
+    }
+}
+
+#[test]
+fn no_gaussian_is_no_error() {
+    for (name, device) in devices() {
+        let bases = two_bases(&device, DType::F32);
+        let (logits, means) = (
+            tensor(&[], [0, 2], &device, DType::F32),
+            tensor(&[], [0, 3], &device, DType::F32),
+        );
+        let motion = bases.motion_at(&logits, 0.5);
+        assert_eq!(motion.rotations.dims(), [0, 3, 3], "{name}");
+        assert_eq!(motion.transform_means(&means).dims(), [0, 3], "{name}");
+        assert_eq!(
+            values(means_acceleration(&means, &means, &means, 1.0)),
+            [0.0],
+            "{name}"
+        );
+        assert_eq!(
+            values(along_ray(&means, &means, &means, DVec3::ZERO, 1.0)),
+            [0.0],
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn every_six_numbers_give_a_rotation_and_finite_gradients() {
+    let cases: [(&str, [f64; 6], Option<[f64; 9]>); 11] = [
+        (
+            "zeros",
+            [0.0; 6],
+            Some([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
+        ),
+        ("no a1", [0.0, 0.0, 0.0, 0.0, 0.0, 2.0], None),
+        (
+            "no a2",
+            [0.0, 0.0, 3.0, 0.0, 0.0, 0.0],
+            Some([0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]),
+        ),
+        ("parallel", [0.3, 0.1, -0.2, 0.6, 0.2, -0.4], None),
+        ("opposite", [0.3, 0.1, -0.2, -0.3, -0.1, 0.2], None),
+        (
+            "parallel to y",
+            [0.0, 0.4, 0.0, 0.0, 0.7, 0.0],
+            Some([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
+        ),
+        ("nearly parallel", [1.0, 0.0, 0.0, 1.0, 2e-3, 0.0], None),
+        ("tiny", [1e-20, 0.0, 0.0, 0.0, 1e-20, 1e-20], None),
+        ("huge", [1e30, 2e30, -1e30, 5e29, -1e29, 1e30], None),
+        ("huge and small", [1e8, 0.0, 0.0, 1e-3, 1e-3, 0.0], None),
+        ("plain", [0.5, -0.2, 0.1, 0.3, 0.9, -0.4], None),
+    ];
+    let rows: Vec<f64> = cases.iter().flat_map(|c| c.1).collect();
+    for (name, device) in devices() {
+        for (dtype, limit) in [(DType::F32, 2e-3), (DType::F64, 1e-9)] {
+            let device = device.clone().autodiff();
+            let six = tensor(&rows, [cases.len(), 6], &device, dtype).require_grad();
+            let rotations = gram_schmidt(six.clone());
+            let direction = Tensor::<3>::from_data(
+                TensorData::new(noise(9 * cases.len(), 8), [cases.len(), 3, 3]),
+                (&device, dtype),
+            );
+            let grads = (rotations.clone() * direction).sum().backward();
+            let gradient = values(six.grad(&grads).expect("a gradient"));
+            let rotations = values(rotations);
+            for (k, (case, input, expected)) in cases.iter().enumerate() {
+                let what = format!("{name}, {dtype:?}, {case}");
+                let found = DMat3::from_cols_slice(&rotations[9 * k..9 * k + 9]).transpose();
+                let product = row_major(found.transpose() * found);
+                assert_close(&product, &row_major(DMat3::IDENTITY), limit, &what);
+                assert!(
+                    (found.determinant() - 1.0).abs() < limit,
+                    "{what}: a reflection"
+                );
+                let gradient = &gradient[6 * k..6 * k + 6];
+                assert!(
+                    gradient.iter().all(|v| v.is_finite()),
+                    "{what}: gradient {gradient:?}"
+                );
+                if let Some(expected) = expected {
+                    assert_close(&row_major(found), expected, 1e-6, &what);
+                }
+                let replaced = |part: &[f64]| part.iter().all(|&v| v == 0.0);
+                if replaced(&input[..3]) {
+                    assert!(replaced(&gradient[..3]), "{what}: gradient {gradient:?}");
+                }
+                if replaced(&input[3..])
+                    || case.contains("opposite")
+                    || case.starts_with("parallel")
+                {
+                    assert!(replaced(&gradient[3..]), "{what}: gradient {gradient:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn gram_schmidt_has_the_right_gradient() {
+    for (_, device) in devices() {
+        // Besides random rows: one whose a2 is parallel to a1, where R still depends on a1.
+        let mut six = noise(5 * 6, 9);
+        six[24..30].copy_from_slice(&[0.3, 0.1, -0.2, 0.6, 0.2, -0.4]);
+        let direction = tensor(&noise(5 * 9, 10), [5, 9], &device, DType::F64);
+        check_gradients(
+            &device,
+            &[("six", [5, 6], six)],
+            &[],
+            GradLimits::default(),
+            |x| {
+                let direction = Tensor::from_inner(direction.clone());
+                (gram_schmidt(x[0].clone()).reshape([5, 9]) * direction).sum()
+            },
+        );
+    }
+}
+
+#[test]
+fn motion_has_the_right_gradient() {
+    for (_, device) in devices() {
+        let (b, n, f) = (3, 3, 4);
+        let inputs = [
+            ("rots", [b, n * 6], noise(b * n * 6, 11)),
+            ("transls", [b, n * 3], noise(b * n * 3, 12)),
+            ("coefficients", [f, b], noise(f * b, 13)),
+            ("means", [f, 3], noise(f * 3, 14)),
+        ];
+        let direction = tensor(&noise(f * 3, 15), [f, 3], &device, DType::F64);
+        for time in [0.4, 1.0] {
+            check_gradients(&device, &inputs, &[], GradLimits::default(), |x| {
+                let bases = MotionBases {
+                    rots: x[0].clone(),
+                    transls: x[1].clone(),
+                    num_frames: n,
+                };
+                let moved = bases.motion_at(&x[2], time).transform_means(&x[3]);
+                (moved * Tensor::from_inner(direction.clone())).sum()
+            });
+        }
+        check_gradients(&device, &inputs, &[], GradLimits::default(), |x| {
+            let bases = MotionBases {
+                rots: x[0].clone(),
+                transls: x[1].clone(),
+                num_frames: n,
+            };
+            positions_all_frames(&bases, &x[2], &x[3]).square().sum()
+        });
+    }
+}
+
+#[test]
+fn smoothness_has_the_right_value_and_gradient() {
+    for (name, device) in devices() {
+        let (b, n) = (2, 5);
+        let inputs = [
+            ("rots", [b, n * 6], noise(b * n * 6, 16)),
+            ("transls", [b, n * 3], noise(b * n * 3, 17)),
+        ];
+        let bases = |x: &[Tensor<2>]| MotionBases {
+            rots: x[0].clone(),
+            transls: x[1].clone(),
+            num_frames: n,
+        };
+        check_gradients(&device, &inputs, &[], GradLimits::default(), |x| {
+            bases_acceleration(&bases(x), 3.0)
+        });
+        let mean = |values: &[f64], width: usize| -> f64 {
+            let at = |k: usize, t: usize, c: usize| values[(k * n + t) * width + c];
+            let length = |k: usize, t: usize| -> f64 {
+                (0..width)
+                    .map(|c| (2.0 * at(k, t, c) - at(k, t - 1, c) - at(k, t + 1, c)).powi(2))
+                    .sum::<f64>()
+                    .sqrt()
+            };
+            (0..b)
+                .flat_map(|k| (1..n - 1).map(move |t| (k, t)))
+                .map(|(k, t)| length(k, t))
+                .sum::<f64>()
+                / (b * (n - 2)) as f64
+        };
+        let expected = mean(&inputs[0].2, 6) + 2.0 * mean(&inputs[1].2, 3) / 3.0;
+        let tensors: Vec<_> = inputs
+            .iter()
+            .map(|i| tensor(&i.2, i.1, &device, DType::F64))
+            .collect();
+        assert_close(
+            &values(bases_acceleration(&bases(&tensors), 3.0)),
+            &[expected],
+            1e-5,
+            name,
+        );
+
+        let means = [
+            ("prev", [6, 3], noise(18, 18)),
+            ("cur", [6, 3], noise(18, 19)),
+            ("next", [6, 3], noise(18, 20)),
+        ];
+        check_gradients(&device, &means, &[], GradLimits::default(), |x| {
+            means_acceleration(&x[0], &x[1], &x[2], 2.0)
+        });
+        let center = DVec3::new(0.5, -0.3, -4.0);
+        check_gradients(&device, &means, &[], GradLimits::default(), |x| {
+            along_ray(&x[0], &x[1], &x[2], center, 2.0)
+        });
+        // A point that recedes by 0.5 and then by 1 along the ray, at scale 2, and sideways at will.
+        let point = |z: f64, side: f64| tensor(&[side, 0.0, z], [1, 3], &device, DType::F64);
+        let found = along_ray(
+            &point(3.5, 9.0),
+            &point(4.0, 0.0),
+            &point(5.0, -7.0),
+            DVec3::ZERO,
+            2.0,
+        );
+        assert_close(&values(found), &[0.0625 + 0.25], 1e-12, name);
+    }
+}
+
+#[test]
+fn rest_has_no_loss_and_no_gradient() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        for n in [1, 2, 3, 6] {
+            let rots =
+                tensor(&IDENTITY.repeat(2 * n), [2, n * 6], &device, DType::F32).require_grad();
+            let transls = tensor(
+                &[0.3, 1.0, -2.0].repeat(2 * n),
+                [2, n * 3],
+                &device,
+                DType::F32,
+            )
+            .require_grad();
+            let bases = MotionBases {
+                rots: rots.clone(),
+                transls: transls.clone(),
+                num_frames: n,
+            };
+            let loss = bases_acceleration(&bases, 3.0);
+            assert_eq!(values(loss.clone()), [0.0], "{name}, {n} frames");
+            if n >= 3 {
+                let grads = loss.backward();
+                for leaf in [rots, transls] {
+                    let gradient = values(leaf.grad(&grads).expect("a gradient"));
+                    assert!(
+                        gradient.iter().all(|&v| v == 0.0),
+                        "{name}, {n} frames: {gradient:?}"
+                    );
+                }
+            }
+        }
+        let mean = || tensor(&[0.1, 0.2, 5.0], [1, 3], &device, DType::F32).require_grad();
+        let means = [mean(), mean(), mean()];
+        let [prev, cur, next] = &means;
+        // The camera sits in the point itself: there is no ray.
+        let losses = means_acceleration(prev, cur, next, 2.0)
+            + along_ray(prev, cur, next, DVec3::new(0.1, 0.2, 5.0), 2.0);
+        assert_eq!(values(losses.clone()), [0.0], "{name}");
+        let grads = losses.backward();
+        for leaf in &means {
+            let gradient = values(leaf.grad(&grads).expect("a gradient"));
+            assert_eq!(gradient, [0.0; 3], "{name}");
+        }
+    }
+}
