@@ -18,8 +18,8 @@ const SAMPLE: usize = 8192;
 /// A fit with a scale beyond this factor, either way, is not believed.
 const LARGEST_SCALE: f64 = 2.0;
 
-/// Residuals up to this, in disparity times S, weigh in full; larger ones as in L1.
-const TOLERANCE: f64 = 0.01;
+/// Residuals well under this, in disparity times S, weigh in full; far above it pixels hardly count (Cauchy's weights).
+const TOLERANCE: f64 = 0.02;
 
 /// The disparity that an estimator should have given is `scale * given + shift`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +41,7 @@ impl DisparityFit {
 /// Robust scale and shift that bring `given` to `wanted`, disparities times the scene size S of the same pixels.
 ///
 /// Weighted means and standard deviations of both are made equal (closed form, and symmetric: least squares would shrink
-/// the scene's relief a little every time it is asked), with weights 1 / max(residual, 0.01) from the fit before.
+/// the scene's relief a little every time it is asked), with weights 1 / (1 + (residual / 0.02)²) from the fit before.
 /// With fewer than 32 pixels, without relief (constant depth), where the two do not go together (correlation under a half)
 /// or if the scale leaves [0.5, 2], nothing can be learned: [`DisparityFit::IDENTITY`].
 ///
@@ -57,7 +57,10 @@ pub fn fit_disparity(given: &[f64], wanted: &[f64]) -> DisparityFit {
     let pairs = || given.iter().zip(wanted).step_by(stride);
     let mut fit = DisparityFit::IDENTITY;
     for _ in 0..10 {
-        let weight = |x: f64, y: f64| 1.0 / (y - fit.scale * x - fit.shift).abs().max(TOLERANCE);
+        let weight = |x: f64, y: f64| {
+            let residual = (y - fit.scale * x - fit.shift) / TOLERANCE;
+            1.0 / (1.0 + residual * residual)
+        };
         let (mut sum, mut mean_x, mut mean_y) = (0.0, 0.0, 0.0);
         for (x, y) in pairs() {
             let w = weight(*x, *y);
@@ -140,4 +143,72 @@ pub fn depth_loss(
     // Pixels that do not count get the floor's disparity and a weight of zero.
     let rendered = (depth * per_alpha).clamp_min(nearest).recip() * scene_size;
     ((rendered - wanted).abs() * weight).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn relief(pixels: usize) -> Vec<f64> {
+        (0..pixels)
+            .map(|k| 1.0 + 0.6 * (k as f64 * 0.37).sin())
+            .collect()
+    }
+
+    #[test]
+    fn scale_and_shift_are_found_among_outliers() {
+        let given = relief(30_000);
+        for (scale, shift) in [(1.0, 0.0), (1.03, -0.02), (0.8, 0.3), (1.5, -0.1)] {
+            let wanted: Vec<f64> = given
+                .iter()
+                .enumerate()
+                .map(|(k, x)| {
+                    // A fifth of the pixels show something else.
+                    if (k / 7) % 5 == 0 {
+                        4.0 + (k as f64 * 0.11).sin()
+                    } else {
+                        scale * x + shift
+                    }
+                })
+                .collect();
+            let fit = fit_disparity(&given, &wanted);
+            assert!(
+                (fit.scale - scale).abs() < 0.02 * scale && (fit.shift - shift).abs() < 0.02,
+                "{fit:?} for {scale} and {shift}"
+            );
+        }
+    }
+
+    #[test]
+    fn noise_does_not_flatten_the_relief() {
+        let given: Vec<f64> = relief(5000)
+            .iter()
+            .enumerate()
+            .map(|(k, x)| x + 0.2 * (k as f64 * 2.39).sin())
+            .collect();
+        let wanted: Vec<f64> = relief(5000)
+            .iter()
+            .enumerate()
+            .map(|(k, x)| x + 0.2 * (k as f64 * 1.13).cos())
+            .collect();
+        let fit = fit_disparity(&given, &wanted);
+        assert!((fit.scale - 1.0).abs() < 0.03, "{fit:?}");
+    }
+
+    #[test]
+    fn where_nothing_can_be_learned_nothing_is_changed() {
+        let same = |given: &[f64], wanted: &[f64]| {
+            assert_eq!(fit_disparity(given, wanted), DisparityFit::IDENTITY);
+        };
+        let relief = relief(1000);
+        same(&[], &[]);
+        same(
+            &relief[..31],
+            &relief[..31].iter().map(|x| 1.1 * x).collect::<Vec<_>>(),
+        );
+        same(&[2.0; 1000], &relief);
+        same(&relief, &[2.0; 1000]);
+        same(&relief, &relief.iter().map(|x| -x).collect::<Vec<_>>());
+        same(&relief, &relief.iter().map(|x| 5.0 * x).collect::<Vec<_>>());
+    }
 }

@@ -90,3 +90,41 @@ fn quantile(mut values: Vec<f64>) -> Option<f64> {
     let place = (KEPT * last as f64).floor() as usize;
     Some(*values.select_nth_unstable_by(place, f64::total_cmp).1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_band_grows_with_the_picture() {
+        assert_eq!(
+            [32, 128, 256, 512].map(mask_band),
+            [1, 1, 2, 4],
+            "two pixels at 256"
+        );
+    }
+
+    #[test]
+    fn both_sides_are_near_within_the_band_only() {
+        // A mover of one pixel in the middle of 7x5.
+        let mut target = vec![0.0; 35];
+        target[2 * 7 + 3] = 1.0;
+        let near = sides_within(&target, 7, 5, 1);
+        for y in 0..5_usize {
+            for x in 0..7_usize {
+                let close = y.abs_diff(2) <= 1 && x.abs_diff(3) <= 1;
+                let expected = if close { INSIDE | OUTSIDE } else { OUTSIDE };
+                assert_eq!(near[y * 7 + x], expected, "at {x}, {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_quantile_keeps_ties_and_everything_small() {
+        assert_eq!(quantile(vec![]), None);
+        assert_eq!(quantile(vec![3.0]), Some(3.0));
+        let values: Vec<f64> = (0..=100).rev().map(f64::from).collect();
+        assert_eq!(quantile(values), Some(98.0));
+        assert_eq!(quantile(vec![0.0; 50]), Some(0.0));
+    }
+}
