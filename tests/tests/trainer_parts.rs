@@ -470,11 +470,11 @@ fn moments_follow_clone_split_and_prune() {
             &AdamOptions::default(),
         )
         .expect("a finite gradient");
-        let old = [&param, &state.moment1, &state.moment2].map(|t| values(t));
+        let old = [&param, &state.moment1, &state.moment2].map(values);
         state.gather(&edit());
         let new = gather_rows(&param, &edit());
         assert!(new.is_require_grad(), "{name}: a leaf again");
-        let new = [&new, &state.moment1, &state.moment2].map(|t| values(t));
+        let new = [&new, &state.moment1, &state.moment2].map(values);
         for (row, (source, kind)) in edit().source.iter().zip(&edit().kind).enumerate() {
             for column in 0..2 {
                 let from = 2 * *source as usize + column;

@@ -31,10 +31,6 @@ macro_rules! real {
     ($float:ty) => {
         impl Real for $float {
             #[inline(always)]
-            #[allow(
-                clippy::cast_possible_truncation,
-                reason = "rounding to the kernel's width is the purpose"
-            )]
             fn of(value: f64) -> Self {
                 value as Self
             }
