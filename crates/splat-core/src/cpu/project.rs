@@ -1,0 +1,278 @@
+//! Projection, culling and depth sort.
+
+use rayon::prelude::*;
+
+use super::geometry::{Lens, project_one, view_direction};
+use super::tiles::{TileLists, pixel_range};
+use super::{MIN_ALPHA, Real, SplatSlices, View, sh};
+use crate::SplatError;
+
+/// Gaussians per piece of parallel work; fixed, so that results do not depend on threads.
+pub(super) const CHUNK: usize = 512;
+
+/// A visible Gaussian as the rasteriser sees it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Splat<T> {
+    /// Mean in pixels.
+    pub(super) mean: [T; 2],
+    /// sigma = (l11 dx + l21 dy)² + (l22 dy)².
+    pub(super) l11: T,
+    pub(super) l21: T,
+    pub(super) l22: T,
+    pub(super) opacity: T,
+    /// z-depth.
+    pub(super) depth: T,
+    /// max(SH + 0.5, 0).
+    pub(super) color: [T; 3],
+    /// Where sigma is larger, alpha is under the threshold.
+    pub(super) sigma_max: T,
+    /// Half the size of the bounding box of that ellipse, px, a little enlarged.
+    pub(super) half_width: T,
+    pub(super) half_height: T,
+    /// Rows of pixels [from, to) that the bounding box meets.
+    pub(super) rows: [u32; 2],
+    /// Three standard deviations along the longer axis, px.
+    pub(super) radius: f32,
+    /// Row in the inputs.
+    pub(super) row: u32,
+}
+
+/// Gaussians projected into a view, in depth order, with their tile lists.
+///
+/// At equal depth the lower row comes first.
+#[derive(Clone, Debug)]
+pub struct Projection<T> {
+    pub(super) view: View<T>,
+    /// Number of Gaussians N in the inputs.
+    pub(super) count: usize,
+    pub(super) splats: Vec<Splat<T>>,
+    pub(super) tiles: TileLists,
+    /// Place of every row in `splats`, `u32::MAX` for culled rows.
+    pub(super) rank: Vec<u32>,
+    radii: Vec<f32>,
+}
+
+impl<T: Real> Projection<T> {
+    /// The view it was made for.
+    #[must_use]
+    pub fn view(&self) -> &View<T> {
+        &self.view
+    }
+
+    /// Number of Gaussians N in the inputs, visible or not.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Whether there was no Gaussian.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// Radius of every Gaussian in the image (three standard deviations of its longer axis), px,
+    /// [N]; 0 for Gaussians that are not drawn.
+    #[must_use]
+    pub fn radii(&self) -> &[f32] {
+        &self.radii
+    }
+
+    /// Number of Gaussians that are drawn.
+    #[must_use]
+    pub fn num_visible(&self) -> usize {
+        self.radii.iter().filter(|r| **r > 0.0).count()
+    }
+
+    /// Number of pairs of a Gaussian and a tile.
+    #[must_use]
+    pub fn num_slots(&self) -> usize {
+        self.tiles.slots.len()
+    }
+}
+
+/// Projects Gaussians into a view, drops what cannot be seen, sorts by depth and lists every tile's
+/// Gaussians.
+///
+/// # Errors
+/// Wrong lengths, an unusable camera, or an input that is not finite, which is named with its row.
+pub fn project<T: Real>(
+    splats: &SplatSlices<'_, T>,
+    view: &View<T>,
+) -> Result<Projection<T>, SplatError> {
+    view.check()?;
+    splats.check(view.sh_degree)?;
+    let count = splats.len();
+    let lens = Lens::new(view);
+    let chunks: Vec<Vec<Splat<T>>> = (0..count.div_ceil(CHUNK))
+        .into_par_iter()
+        .map(|chunk| {
+            let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(count);
+            check_finite(splats, rows.clone())?;
+            Ok(rows
+                .filter_map(|row| project_row(splats, view, &lens, row))
+                .collect())
+        })
+        .collect::<Result<_, SplatError>>()?;
+    let unsorted: Vec<Splat<T>> = chunks.concat();
+
+    let mut order: Vec<(u64, u32)> = unsorted
+        .iter()
+        .enumerate()
+        .map(|(k, s)| (s.depth.sort_bits(), k as u32))
+        .collect();
+    // Keys are distinct, so that an unstable parallel sort has one possible result.
+    order.par_sort_unstable();
+    let sorted: Vec<Splat<T>> = order.iter().map(|(_, k)| unsorted[*k as usize]).collect();
+
+    let tiles = TileLists::new(&sorted, view.camera.width, view.camera.height)?;
+    let mut rank = vec![u32::MAX; count];
+    let mut radii = vec![0.0; count];
+    for (k, s) in sorted.iter().enumerate() {
+        rank[s.row as usize] = k as u32;
+        if tiles.slot_starts[k] < tiles.slot_starts[k + 1] {
+            radii[s.row as usize] = s.radius;
+        }
+    }
+    Ok(Projection {
+        view: view.clone(),
+        count,
+        splats: sorted,
+        tiles,
+        rank,
+        radii,
+    })
+}
+
+/// The arguments of [`project_one`] for a row.
+#[inline(always)]
+pub(super) fn row_of<'a, T: Real>(
+    splats: &SplatSlices<'a, T>,
+    row: usize,
+) -> ([T; 3], [T; 4], Option<&'a [T]>, [T; 3]) {
+    let left = (row < splats.num_left()).then(|| &splats.left_rotations[9 * row..9 * row + 9]);
+    (
+        std::array::from_fn(|k| splats.means[3 * row + k]),
+        std::array::from_fn(|k| splats.quats[4 * row + k]),
+        left,
+        std::array::from_fn(|k| splats.log_scales[3 * row + k]),
+    )
+}
+
+/// SH + 0.5 per channel, before the clamp at 0.
+#[inline(always)]
+pub(super) fn sh_color<T: Real>(
+    splats: &SplatSlices<'_, T>,
+    coefficients: usize,
+    row: usize,
+    used: usize,
+    basis: &[T; 16],
+) -> [T; 3] {
+    let stored = &splats.sh[row * coefficients * 3..(row + 1) * coefficients * 3];
+    let mut color = [T::of(0.5); 3];
+    for (b, c) in basis[..used].iter().zip(stored.chunks_exact(3)) {
+        for k in 0..3 {
+            color[k] += *b * c[k];
+        }
+    }
+    color
+}
+
+fn project_row<T: Real>(
+    splats: &SplatSlices<'_, T>,
+    view: &View<T>,
+    lens: &Lens<T>,
+    row: usize,
+) -> Option<Splat<T>> {
+    let opacity = sigmoid(splats.opacity_logits[row]);
+    if opacity < T::of(MIN_ALPHA) {
+        return None;
+    }
+    let (mean, quat, left, log_scale) = row_of(splats, row);
+    let g = project_one(lens, &view.cam_from_world, mean, quat, left, log_scale)?;
+    let sigma_max = (opacity / T::of(MIN_ALPHA)).ln().max(T::ZERO);
+    // Enlarged beyond rounding: the threshold is decided per pixel, not here.
+    let extent =
+        |variance: T| (T::of(2.0) * sigma_max * variance).sqrt() * T::of(1.001) + T::of(0.01);
+    let (half_width, half_height) = (extent(g.xx), extent(g.yy));
+    let [mx, my] = g.mean2d;
+    pixel_range(mx - half_width, mx + half_width, view.camera.width)?;
+    let (from, to) = pixel_range(my - half_height, my + half_height, view.camera.height)?;
+
+    let (direction, _) = view_direction(&view.cam_from_world, mean);
+    let basis = sh::basis(view.sh_degree, direction);
+    let used = sh::num_coefficients(view.sh_degree);
+    let color =
+        sh_color(splats, splats.sh_coefficients(), row, used, &basis).map(|c| c.max(T::ZERO));
+    if !(color[0] + color[1] + color[2]).is_finite() {
+        return None;
+    }
+    let l11 = (T::of(0.5) / g.e).sqrt();
+    let middle = T::of(0.5) * (g.xx + g.yy);
+    let spread = T::of(0.5) * (g.xx - g.yy);
+    let xy = g.rho * g.yy;
+    let larger = middle + (spread * spread + xy * xy).sqrt();
+    Some(Splat {
+        mean: g.mean2d,
+        l11,
+        l21: -g.rho * l11,
+        l22: (T::of(0.5) / g.yy).sqrt(),
+        opacity,
+        depth: g.point[2],
+        color,
+        sigma_max,
+        half_width,
+        half_height,
+        rows: [from as u32, to as u32],
+        radius: (3.0 * larger.to_f64().sqrt()).min(f64::from(f32::MAX)) as f32,
+        row: row as u32,
+    })
+}
+
+#[inline(always)]
+pub(super) fn sigmoid<T: Real>(x: T) -> T {
+    T::ONE / (T::ONE + (-x).exp())
+}
+
+/// Names the first input and row in `rows` that is not finite.
+fn check_finite<T: Real>(
+    splats: &SplatSlices<'_, T>,
+    rows: std::ops::Range<usize>,
+) -> Result<(), SplatError> {
+    let left = rows.start.min(splats.num_left())..rows.end.min(splats.num_left());
+    let inputs: [(&'static str, &[T], usize, std::ops::Range<usize>); 6] = [
+        ("means", splats.means, 3, rows.clone()),
+        ("quats", splats.quats, 4, rows.clone()),
+        ("left_rotations", splats.left_rotations, 9, left),
+        ("log_scales", splats.log_scales, 3, rows.clone()),
+        ("opacity_logits", splats.opacity_logits, 1, rows.clone()),
+        ("sh", splats.sh, 3 * splats.sh_coefficients(), rows),
+    ];
+    for (tensor, values, width, rows) in inputs {
+        find_not_finite(
+            tensor,
+            &values[rows.start * width..rows.end * width],
+            width,
+            rows.start,
+        )?;
+    }
+    Ok(())
+}
+
+/// Fails on the first row of `values` (rows of `width`, counted from `first`) that is not finite.
+pub(super) fn find_not_finite<T: Real>(
+    tensor: &'static str,
+    values: &[T],
+    width: usize,
+    first: usize,
+) -> Result<(), SplatError> {
+    // Without a branch per value, so that the check runs at memory speed.
+    if values.iter().fold(true, |ok, v| ok & v.is_finite()) {
+        return Ok(());
+    }
+    let at = values.iter().position(|v| !v.is_finite()).unwrap_or(0);
+    Err(SplatError::NotFinite {
+        tensor,
+        row: first + at / width.max(1),
+    })
+}

@@ -1,0 +1,195 @@
+//! Backward of the blending, tile by tile, back to front.
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::lanes::{Lanes, PerChannel, sum};
+use super::raster::{load_channels, offsets};
+use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, Projection, RasterState, Real, TILE};
+
+/// Geometric sums in a partial gradient, before its channels. With s = ∂L/∂sigma per pixel:
+/// Σ s p, Σ s p², Σ s p dy, Σ s dy, Σ s dy², Σ s.
+pub(super) const GEOMETRIC: usize = 6;
+
+/// The partial gradient of every slot: [slots, 6 + 4 + F] row-major, the geometric sums and then the
+/// gradients of colour, depth and features.
+pub(super) fn partial_gradients<T: Real>(
+    projection: &Projection<T>,
+    features: &[T],
+    state: &RasterState<T>,
+    v_output: &[T],
+) -> Vec<T> {
+    let tiles = &projection.tiles;
+    let width = GEOMETRIC + 4 + state.num_features;
+    let mut partial = vec![T::ZERO; tiles.slots.len() * width];
+    let mut pieces = Vec::with_capacity(tiles.num_tiles());
+    let mut rest = partial.as_mut_slice();
+    for tile in 0..tiles.num_tiles() {
+        let (piece, more) = rest.split_at_mut(tiles.slots_of_tile(tile).len() * width);
+        pieces.push(piece);
+        rest = more;
+    }
+    let arch = Arch::new();
+    pieces
+        .into_par_iter()
+        .enumerate()
+        .for_each_init(Vec::new, |scratch, (tile, partial)| {
+            if !partial.is_empty() {
+                arch.dispatch(UnblendTile {
+                    projection,
+                    features,
+                    state,
+                    v_output,
+                    tile,
+                    partial,
+                    scratch,
+                });
+            }
+        });
+    partial
+}
+
+struct UnblendTile<'a, T> {
+    projection: &'a Projection<T>,
+    features: &'a [T],
+    state: &'a RasterState<T>,
+    v_output: &'a [T],
+    tile: usize,
+    partial: &'a mut [T],
+    /// Output gradient of the tile: [rows, 5 + F] lanes; reused by the tiles of a thread.
+    scratch: &'a mut Vec<Lanes<T>>,
+}
+
+impl<T: Real> WithSimd for UnblendTile<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let zero = [T::ZERO; TILE];
+        match self.state.num_features {
+            0 => self.run([T::ZERO; 4], [zero; 4]),
+            1 => self.run([T::ZERO; 5], [zero; 5]),
+            n => self.run(vec![T::ZERO; 4 + n], vec![zero; 4 + n]),
+        }
+    }
+}
+
+impl<T: Real> UnblendTile<'_, T> {
+    /// The tile's output gradient with pixels in lanes: alpha first, then colour, depth, features.
+    #[inline(always)]
+    fn gather(&mut self, left: usize, top: usize, channels: usize) {
+        let camera = &self.projection.view.camera;
+        let stride = BASE_CHANNELS + self.state.num_features;
+        self.scratch.clear();
+        self.scratch.resize(TILE * (channels + 1), [T::ZERO; TILE]);
+        for row in 0..(camera.height - top).min(TILE) {
+            let to = &mut self.scratch[row * (channels + 1)..][..channels + 1];
+            for lane in 0..(camera.width - left).min(TILE) {
+                let pixel = ((top + row) * camera.width + left + lane) * stride;
+                let from = &self.v_output[pixel..pixel + stride];
+                to[0][lane] = from[3];
+                for k in 0..3 {
+                    to[1 + k][lane] = from[k];
+                }
+                for k in 4..stride {
+                    to[k][lane] = from[k];
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn run(mut self, mut values: impl PerChannel<T>, mut sums: impl PerChannel<Lanes<T>>) {
+        let (projection, tiles) = (self.projection, &self.projection.tiles);
+        let (left, top) = (
+            self.tile % tiles.across * TILE,
+            self.tile / tiles.across * TILE,
+        );
+        let values = values.values();
+        let sums = sums.values();
+        let channels = values.len();
+        self.gather(left, top, channels);
+        let width = GEOMETRIC + channels;
+        let list = &tiles.gaussians[tiles.slots_of_tile(self.tile)];
+        let last = &self.state.last[self.tile];
+        let row_last = last.map(|lanes| lanes.iter().fold(0, |m, l| m.max(*l)));
+        let tile_last = row_last.iter().fold(0, |m, l| m.max(*l)) as usize;
+        // Transmittance in front of the Gaussians handled so far, and Σ weight · (their channels ·
+        // output gradient), which is what lies behind the next one.
+        let mut transmittance = self.state.transmittance[self.tile];
+        let mut behind = [[T::ZERO; TILE]; TILE];
+
+        for place in (0..tile_last).rev() {
+            let gaussian = list[place] as usize;
+            let splat = &projection.splats[gaussian];
+            load_channels(
+                projection,
+                self.features,
+                self.state.num_features,
+                gaussian,
+                values,
+            );
+            sums.fill([T::ZERO; TILE]);
+            let mut geometric = [[T::ZERO; TILE]; GEOMETRIC];
+            let dx = offsets(left, splat.mean[0]);
+            let first = (splat.rows[0] as usize).saturating_sub(top);
+            let end = (splat.rows[1] as usize - top).min(TILE);
+            for row in first..end {
+                if row_last[row] as usize <= place {
+                    continue;
+                }
+                let dy = T::of((top + row) as f64 + 0.5) - splat.mean[1];
+                let shift = splat.l21 * dy;
+                let q = splat.l22 * dy;
+                let q2 = q * q;
+                let v_output = &self.scratch[row * (channels + 1)..][..channels + 1];
+                let mut dot = v_output[0];
+                for (v, value) in v_output[1..].iter().zip(values.iter()) {
+                    for l in 0..TILE {
+                        dot[l] += v[l] * *value;
+                    }
+                }
+                let (last, transmittance, behind) =
+                    (&last[row], &mut transmittance[row], &mut behind[row]);
+                let mut weight = [T::ZERO; TILE];
+                for l in 0..TILE {
+                    // The same operations as in the forward pass, so that the same pixels are drawn.
+                    let p = splat.l11 * dx[l] + shift;
+                    let raw = splat.opacity * (p * p + q2).exp_neg();
+                    let clamped = raw.min(T::of(MAX_ALPHA));
+                    let drawn = (clamped >= T::of(MIN_ALPHA)) & (last[l] > place as u32);
+                    let alpha = if drawn { clamped } else { T::ZERO };
+                    let inverse = T::ONE / (T::ONE - alpha);
+                    let before = transmittance[l] * inverse;
+                    transmittance[l] = before;
+                    weight[l] = alpha * before;
+                    let v_alpha = before * dot[l] - behind[l] * inverse;
+                    behind[l] += weight[l] * dot[l];
+                    // ∂alpha/∂sigma = -alpha, and 0 where alpha is clamped.
+                    let passes = drawn & (raw < T::of(MAX_ALPHA));
+                    let s = if passes { -(v_alpha * raw) } else { T::ZERO };
+                    let sp = s * p;
+                    let sdy = s * dy;
+                    geometric[0][l] += sp;
+                    geometric[1][l] += sp * p;
+                    geometric[2][l] += sp * dy;
+                    geometric[3][l] += sdy;
+                    geometric[4][l] += sdy * dy;
+                    geometric[5][l] += s;
+                }
+                for (sum, v) in sums.iter_mut().zip(&v_output[1..]) {
+                    for l in 0..TILE {
+                        sum[l] += weight[l] * v[l];
+                    }
+                }
+            }
+            let partial = &mut self.partial[place * width..][..width];
+            for k in 0..GEOMETRIC {
+                partial[k] = sum(geometric[k]);
+            }
+            for k in 0..channels {
+                partial[GEOMETRIC + k] = sum(sums[k]);
+            }
+        }
+    }
+}

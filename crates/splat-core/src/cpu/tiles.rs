@@ -1,0 +1,137 @@
+//! Which Gaussians touch which tile, and where each pair's partial gradient lies.
+
+use super::project::Splat;
+use super::{Real, TILE};
+use crate::SplatError;
+
+/// For every tile its Gaussians in depth order, and for every Gaussian its places in those lists.
+///
+/// A *slot* is a place in the concatenation of the tiles' lists. Gaussians are counted in depth order.
+#[derive(Clone, Debug, Default)]
+pub(super) struct TileLists {
+    /// Number of tiles along x and y.
+    pub(super) across: usize,
+    pub(super) down: usize,
+    /// First slot of every tile, and the number of slots.
+    pub(super) tile_starts: Vec<u32>,
+    /// Gaussian of every slot.
+    pub(super) gaussians: Vec<u32>,
+    /// First entry of every Gaussian in `slots`, and their number.
+    pub(super) slot_starts: Vec<u32>,
+    /// Slots, Gaussian by Gaussian.
+    pub(super) slots: Vec<u32>,
+}
+
+impl TileLists {
+    pub(super) fn num_tiles(&self) -> usize {
+        self.across * self.down
+    }
+
+    /// The slots of a tile.
+    #[inline]
+    pub(super) fn slots_of_tile(&self, tile: usize) -> std::ops::Range<usize> {
+        self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize
+    }
+
+    /// The slots of a Gaussian, tiles ascending.
+    #[inline]
+    pub(super) fn slots_of_gaussian(&self, gaussian: usize) -> &[u32] {
+        &self.slots[self.slot_starts[gaussian] as usize..self.slot_starts[gaussian + 1] as usize]
+    }
+
+    /// Lists for Gaussians in depth order.
+    pub(super) fn new<T: Real>(
+        splats: &[Splat<T>],
+        width: usize,
+        height: usize,
+    ) -> Result<Self, SplatError> {
+        let (across, down) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        let mut slot_starts = Vec::with_capacity(splats.len() + 1);
+        let mut tiles: Vec<u32> = Vec::with_capacity(3 * splats.len());
+        let mut tile_starts = vec![0_u32; across * down + 1];
+        for splat in splats {
+            slot_starts.push(tiles.len() as u32);
+            each_tile(splat, across, height, |tile| {
+                tiles.push(tile);
+                tile_starts[tile as usize + 1] += 1;
+            });
+            if tiles.len() > u32::MAX as usize {
+                return Err(SplatError::TooManyTiles { count: tiles.len() });
+            }
+        }
+        slot_starts.push(tiles.len() as u32);
+        for tile in 0..across * down {
+            tile_starts[tile + 1] += tile_starts[tile];
+        }
+        // Counting sort: Gaussians come in depth order, so every tile's list is in depth order.
+        let mut next = tile_starts.clone();
+        let mut gaussians = vec![0_u32; tiles.len()];
+        let mut slots = tiles;
+        for gaussian in 0..splats.len() {
+            let range = slot_starts[gaussian] as usize..slot_starts[gaussian + 1] as usize;
+            for slot in &mut slots[range] {
+                let place = &mut next[*slot as usize];
+                gaussians[*place as usize] = gaussian as u32;
+                *slot = *place;
+                *place += 1;
+            }
+        }
+        Ok(Self {
+            across,
+            down,
+            tile_starts,
+            gaussians,
+            slot_starts,
+            slots,
+        })
+    }
+}
+
+/// Calls `visit` with every tile that has a pixel centre in the ellipse's bounding interval of its
+/// band of rows, in ascending order.
+#[inline]
+fn each_tile<T: Real>(splat: &Splat<T>, across: usize, height: usize, mut visit: impl FnMut(u32)) {
+    let half = T::of(0.5);
+    let [mx, my] = splat.mean;
+    // The slanted ellipse x(dy) = rho dy ± sqrt(sigma - q²) / l11: its rightmost point lies at
+    // dy = tip, its leftmost at -tip, so over a band of rows the extreme is at the nearest dy.
+    let rho = -splat.l21 / splat.l11;
+    let tip = rho * splat.half_height * splat.half_height / splat.half_width;
+    for band in splat.rows[0] as usize / TILE..(splat.rows[1] as usize).div_ceil(TILE) {
+        let first = (band * TILE).max(splat.rows[0] as usize);
+        let last = ((band + 1) * TILE).min(splat.rows[1] as usize).min(height) - 1;
+        let low = T::of(first as f64) + half - my;
+        let high = T::of(last as f64) + half - my;
+        let side = |dy: T| {
+            let dy = dy.max(low).min(high);
+            let q = splat.l22 * dy;
+            let root = (splat.sigma_max - q * q).max(T::ZERO).sqrt() / splat.l11;
+            (rho * dy, root * T::of(1.001) + T::of(0.01))
+        };
+        let (right, right_root) = side(tip);
+        let (left, left_root) = side(-tip);
+        let Some((from, to)) = pixel_range(
+            mx + left - left_root,
+            mx + right + right_root,
+            across * TILE,
+        ) else {
+            continue;
+        };
+        for column in from / TILE..to.div_ceil(TILE) {
+            visit((band * across + column) as u32);
+        }
+    }
+}
+
+/// The pixels [from, to) of a line of `count` whose centres lie in [low, high].
+#[inline(always)]
+pub(super) fn pixel_range<T: Real>(low: T, high: T, count: usize) -> Option<(usize, usize)> {
+    let limit = T::of(count as f64);
+    let low = (low - T::of(0.5)).max(T::ZERO);
+    let high = (high + T::of(0.5)).min(limit);
+    if !(low < limit && high > T::ZERO) {
+        return None;
+    }
+    let (from, to) = (low.to_f64().ceil() as usize, high.to_f64().floor() as usize);
+    (from < to).then_some((from, to))
+}
