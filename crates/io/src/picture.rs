@@ -209,3 +209,66 @@ fn write_pixels(
     .map_err(|e| IoError::invalid(path, format!("cannot be written as PNG: {e}")))?;
     write_atomic(path, |out| out.write_all(&png))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn written_pictures_come_back_rounded() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let image = Image {
+            width: 2,
+            height: 1,
+            pixels: vec![0.0, 1.0, 100.4 / 255.0, 100.6 / 255.0, -0.3, 1.7],
+        };
+        write_png(&path, &image).unwrap();
+        let want = [0.0, 255.0, 100.0, 101.0, 0.0, 255.0].map(|v| v / 255.0);
+        assert_eq!(read_image(&path).unwrap().pixels, want);
+
+        let map = Map {
+            width: 1,
+            height: 2,
+            values: vec![0.5, f32::NAN],
+        };
+        write_map_png(&path, &map).unwrap();
+        assert_eq!(read_map(&path).unwrap().values, [128.0 / 255.0, 0.0]);
+    }
+
+    #[test]
+    fn pictures_without_their_pixels_are_not_written() {
+        let image = Image {
+            width: 2,
+            height: 2,
+            pixels: vec![0.0; 6],
+        };
+        let path = Path::new("never-written.png");
+        assert!(matches!(
+            write_png(path, &image),
+            Err(IoError::Invalid { .. })
+        ));
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn any_8_or_16_bit_kind_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let half = u16::MAX / 2;
+        image::ImageBuffer::from_pixel(1, 1, image::Rgb([u16::MAX, half, 0]))
+            .save(&path)
+            .unwrap();
+        let want = [1.0, f32::from(half) / 65535.0, 0.0];
+        assert_eq!(read_image(&path).unwrap().pixels, want);
+        image::RgbaImage::from_pixel(1, 1, image::Rgba([255, 51, 0, 7]))
+            .save(&path)
+            .unwrap();
+        assert_eq!(
+            read_image(&path).unwrap().pixels,
+            [1.0, 0.2, 0.0],
+            "alpha is dropped"
+        );
+        assert_eq!(read_map(&path).unwrap().values, [1.0], "the first channel");
+    }
+}

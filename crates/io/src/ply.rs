@@ -281,3 +281,174 @@ impl<'de, T: Deserialize<'de>> Visitor<'de> for RowSeed<'_, T> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gaussians(sh_degree: usize, n: usize) -> Gaussians {
+        let num_sh = (sh_degree + 1) * (sh_degree + 1);
+        let mut next = 0.0;
+        let mut number = || {
+            next += 0.25;
+            next
+        };
+        Gaussians {
+            means: (0..n).map(|_| [number(), number(), number()]).collect(),
+            quats: (0..n)
+                .map(|_| [number(), number(), number(), number()])
+                .collect(),
+            log_scales: (0..n).map(|_| [number(), number(), number()]).collect(),
+            opacity_logits: (0..n).map(|_| number()).collect(),
+            sh: (0..n * num_sh * 3).map(|_| number()).collect(),
+            sh_degree,
+        }
+    }
+
+    #[test]
+    fn round_trip_at_every_degree() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.ply");
+        for (degree, n) in [(0, 3), (1, 1), (2, 2), (3, 5), (3, 0)] {
+            let written = gaussians(degree, n);
+            write_ply(&path, &written).unwrap();
+            assert_eq!(read_ply(&path).unwrap(), written, "degree {degree}");
+        }
+    }
+
+    #[test]
+    fn layout_by_hand() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.ply");
+        let mut one = gaussians(1, 1);
+        // Coefficient k of channel c is 10 k + c.
+        one.sh = (0..4)
+            .flat_map(|k| [0, 1, 2].map(|c| (10 * k + c) as f32))
+            .collect();
+        write_ply(&path, &one).unwrap();
+        let data = std::fs::read(&path).unwrap();
+        let end = b"end_header\n";
+        let start = data.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+        let header = std::str::from_utf8(&data[..start]).unwrap();
+        assert!(
+            header.contains("property float f_rest_8\nproperty float opacity\n"),
+            "{header}"
+        );
+        let row: Vec<f32> = data[start..]
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
+            .collect();
+        assert_eq!(row.len(), 6 + 3 + 9 + 1 + 3 + 4);
+        assert_eq!(row[..3], one.means[0]);
+        assert_eq!(row[6..9], [0.0, 1.0, 2.0]);
+        // All of red first.
+        assert_eq!(
+            row[9..18],
+            [10.0, 20.0, 30.0, 11.0, 21.0, 31.0, 12.0, 22.0, 32.0]
+        );
+        assert_eq!(row[18], one.opacity_logits[0]);
+        assert_eq!(row[22..], one.quats[0]);
+    }
+
+    #[test]
+    fn a_file_of_another_program() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../../shared/reference/splat_ply/test-splat.3-points-from-train.ply");
+        if !path.is_file() {
+            eprintln!("skipped: no {}", path.display());
+            return;
+        }
+        let read = read_ply(&path).unwrap();
+        assert_eq!((read.len(), read.sh_degree), (3, 3));
+        // The .splat file beside it has the same points: position, scale (f32), colour and opacity,
+        // rotation (u8), 32 bytes each.
+        let splat = std::fs::read(path.with_extension("splat")).unwrap();
+        for i in 0..3 {
+            let row = &splat[32 * i..32 * (i + 1)];
+            let float = |at: usize| f32::from_le_bytes(row[4 * at..4 * at + 4].try_into().unwrap());
+            for axis in 0..3 {
+                assert!((read.means[i][axis] - float(axis)).abs() < 1e-5);
+                assert!((read.log_scales[i][axis].exp() / float(3 + axis) - 1.0).abs() < 1e-4);
+                let color = 0.5 + 0.282_094_8 * read.sh[i * 48 + axis];
+                assert!((color.clamp(0.0, 1.0) * 255.0 - f32::from(row[24 + axis])).abs() <= 1.0);
+            }
+            let opacity = 1.0 / (1.0 + (-read.opacity_logits[i]).exp());
+            assert!((opacity * 255.0 - f32::from(row[27])).abs() <= 1.0);
+            let quat = read.quats[i];
+            let norm = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
+            for (q, &byte) in quat.iter().zip(&row[28..]) {
+                assert!((q / norm * 128.0 + 128.0 - f32::from(byte)).abs() <= 1.5);
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let again = folder.path().join("again.ply");
+        write_ply(&again, &read).unwrap();
+        // Byte for byte the same but for the normals, which nobody reads: that program writes (0, 0, 1).
+        let (ours, mut theirs) = (
+            std::fs::read(&again).unwrap(),
+            std::fs::read(&path).unwrap(),
+        );
+        let rows = theirs.len() - 3 * 62 * 4;
+        for i in 0..3 {
+            let normal = rows + (i * 62 + 3) * 4;
+            theirs[normal..normal + 12].fill(0);
+        }
+        assert!(ours == theirs, "our writer gives another file");
+    }
+
+    #[test]
+    fn broken_files_are_errors() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.ply");
+        write_ply(&path, &gaussians(3, 4)).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        let check = |data: &[u8], why: &str| {
+            std::fs::write(&path, data).unwrap();
+            let text = read_ply(&path).expect_err(why).to_string();
+            assert!(text.ends_with("scene.ply"), "{why}: {text}");
+        };
+        for length in (0..whole.len()).step_by(37).chain([whole.len() - 1]) {
+            check(&whole[..length], &format!("cut at {length}"));
+        }
+        let replace = |from: &str, to: &str| {
+            let at = whole
+                .windows(from.len())
+                .position(|w| w == from.as_bytes())
+                .unwrap();
+            [&whole[..at], to.as_bytes(), &whole[at + from.len()..]].concat()
+        };
+        for count in [
+            "1099511627776",
+            "18446744073709551615",
+            "99999999999999999999",
+            "-1",
+        ] {
+            check(&replace("vertex 4", &format!("vertex {count}")), count);
+        }
+        check(
+            &replace("element vertex", "element corner"),
+            "another element",
+        );
+        check(&replace("property float opacity\n", ""), "no opacity");
+        check(
+            &replace("float f_rest_44", "float of_rest_4"),
+            "44 coefficients",
+        );
+        check(&replace("float x", "list uchar float x"), "a list");
+        let mut nan = whole.clone();
+        let end = nan.len();
+        nan[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+        check(&nan, "not a number");
+        check(
+            b"ply\nformat ascii 1.0\nelement vertex 9000000000000000000\nend_header\n",
+            "no properties",
+        );
+
+        let mut uneven = gaussians(1, 2);
+        uneven.quats.pop();
+        assert!(matches!(
+            write_ply(&path, &uneven),
+            Err(IoError::Invalid { .. })
+        ));
+    }
+}

@@ -1,0 +1,211 @@
+//! Tiny scenes, written by hand so that they do not share a line with the readers.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DQuat, DVec3};
+use tempfile::TempDir;
+
+pub(crate) const WIDTH: usize = 16;
+pub(crate) const HEIGHT: usize = 12;
+pub(crate) const FRAMES: usize = 3;
+pub(crate) const FOCAL: f64 = 20.0;
+
+/// `.npy` of f32.
+pub(crate) fn npy(shape: &[usize], values: &[f32]) -> Vec<u8> {
+    let sides: Vec<_> = shape.iter().map(|s| format!("{s},")).collect();
+    let dict = format!(
+        "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}), }}",
+        sides.concat()
+    );
+    let header = format!("{dict:<117}\n");
+    let mut data = b"\x93NUMPY\x01\x00".to_vec();
+    data.extend((header.len() as u16).to_le_bytes());
+    data.extend(header.as_bytes());
+    data.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    data
+}
+
+pub(crate) fn write(path: &Path, data: impl AsRef<[u8]>) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, data).unwrap();
+}
+
+/// A grey picture, PNG or JPEG by the path's ending.
+pub(crate) fn picture(path: &Path, size: (usize, usize), value: impl Fn(usize, usize) -> u8) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let (w, h) = (size.0 as u32, size.1 as u32);
+    image::GrayImage::from_fn(w, h, |x, y| image::Luma([value(x as usize, y as usize)]))
+        .save(path)
+        .unwrap();
+}
+
+/// A colour picture with a ramp in it.
+pub(crate) fn ramp(path: &Path, frame: usize) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image::RgbImage::from_fn(WIDTH as u32, HEIGHT as u32, |x, y| {
+        image::Rgb([8 * x as u8, 8 * y as u8, 10 * frame as u8])
+    })
+    .save(path)
+    .unwrap();
+}
+
+/// Camera from world of the model's image `number`: a slow pan to the right; odd ones 0.3 to the side.
+pub(crate) fn pose(number: usize) -> (DQuat, DVec3) {
+    let quat = DQuat::from_rotation_y(0.05 * (number / 2) as f64);
+    let center = DVec3::new(0.3 * (number % 2) as f64, 0.1 * (number / 2) as f64, 0.0);
+    (quat, -(DMat3::from_quat(quat) * center))
+}
+
+/// Points of the model, in front of the cameras.
+pub(crate) const POINTS: [[f64; 3]; 2] = [[0.1, 0.2, 4.0], [-0.3, 0.1, 5.0]];
+
+/// A COLMAP model of these images, numbered by position. `camera` is the model's number and parameters.
+pub(crate) fn colmap_binary(folder: &Path, names: &[String], camera: (i32, &[f64])) {
+    let le = |v: u64| v.to_le_bytes();
+    let floats = |v: &[f64]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let mut cameras = le(1).to_vec();
+    cameras.extend(1u32.to_le_bytes());
+    cameras.extend(camera.0.to_le_bytes());
+    cameras.extend([le(WIDTH as u64), le(HEIGHT as u64)].concat());
+    cameras.extend(floats(camera.1));
+    write(&folder.join("cameras.bin"), cameras);
+
+    let mut images = le(names.len() as u64).to_vec();
+    for (number, name) in names.iter().enumerate() {
+        let (q, t) = pose(number);
+        images.extend((number as u32 + 1).to_le_bytes());
+        images.extend(floats(&[q.w, q.x, q.y, q.z, t.x, t.y, t.z]));
+        images.extend(1u32.to_le_bytes());
+        images.extend(name.as_bytes());
+        images.push(0);
+        // One 2D point, so that it has to be skipped.
+        images.extend([le(1).as_slice(), &floats(&[1.0, 2.0]), &le(7)].concat());
+    }
+    write(&folder.join("images.bin"), images);
+
+    let mut points = le(POINTS.len() as u64).to_vec();
+    for (id, position) in POINTS.iter().enumerate() {
+        points.extend(le(id as u64));
+        points.extend(floats(position));
+        points.extend([255, 0, 51]);
+        points.extend(floats(&[0.5]));
+        points.extend([le(2), le(1), le(2)].concat());
+    }
+    write(&folder.join("points3D.bin"), points);
+}
+
+/// The same as text.
+pub(crate) fn colmap_text(folder: &Path, names: &[String]) {
+    let mut images = String::from("# Image list with two lines of data per image:\n");
+    for (number, name) in names.iter().enumerate() {
+        let (q, t) = pose(number);
+        let pose = [q.w, q.x, q.y, q.z, t.x, t.y, t.z]
+            .map(|v| format!("{v:?}"))
+            .join(" ");
+        // The second line may be empty.
+        let second = if number % 2 == 0 { "1.0 2.0 7" } else { "" };
+        images += &format!("{} {pose} 1 {name}\n{second}\n", number + 1);
+    }
+    write(&folder.join("images.txt"), images);
+    let (cx, cy) = (WIDTH as f64 / 2.0, HEIGHT as f64 / 2.0);
+    let camera = format!("# comment\n1 PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {cx} {cy}\n");
+    write(&folder.join("cameras.txt"), camera);
+    let mut points = String::from("# comment\n");
+    for (id, [x, y, z]) in POINTS.iter().enumerate() {
+        points += &format!("{id} {x} {y} {z} 255 0 51 0.5 1 0 2 1\n");
+    }
+    write(&folder.join("points3D.txt"), points);
+}
+
+pub(crate) fn names(count: usize) -> Vec<String> {
+    (0..count).map(|i| format!("{i:05}.png")).collect()
+}
+
+pub(crate) const PINHOLE: (i32, &[f64]) = (1, &[FOCAL, FOCAL, 8.0, 6.0]);
+
+/// A scene in Shape-of-Motion's layout with everything: stereo, depth, masks, tracks, truth.
+pub(crate) struct Som {
+    folder: TempDir,
+}
+
+impl Som {
+    pub(crate) fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let pre = root.join("flow3d_preprocessed");
+        for q in 0..FRAMES {
+            let png = format!("{q:05}.png");
+            ramp(&root.join("images").join(&png), q);
+            ramp(&root.join("images_test").join(&png), q + 10);
+            ramp(&root.join("truth/images_sharp").join(&png), q + 20);
+            let size = (WIDTH, HEIGHT);
+            picture(&root.join("masks").join(&png), size, |x, _| {
+                255 * u8::from(x < 5)
+            });
+            picture(&root.join("truth/covisible").join(&png), size, |_, _| 255);
+            picture(&root.join("truth/masks_test").join(&png), size, |x, _| {
+                255 * u8::from(x < 4)
+            });
+            let disparity: Vec<f32> = (0..WIDTH * HEIGHT).map(|i| 0.1 + 0.01 * i as f32).collect();
+            write(
+                &pre.join(format!("aligned_depth_anything_colmap/{q:05}.npy")),
+                npy(&[HEIGHT, WIDTH], &disparity),
+            );
+            for t in 0..FRAMES {
+                // q + 1 points; point p of query q is at (p + t, q) in frame t.
+                let rows: Vec<f32> = (0..=q)
+                    .flat_map(|p| [(p + t) as f32, q as f32, -5.0, -4.0])
+                    .collect();
+                write(
+                    &pre.join(format!("2d_tracks/{q:05}_{t:05}.npy")),
+                    npy(&[q + 1, 4], &rows),
+                );
+            }
+        }
+        colmap_binary(&pre.join("colmap/sparse"), &names(2 * FRAMES), PINHOLE);
+        Self { folder }
+    }
+
+    pub(crate) fn root(&self) -> &Path {
+        self.folder.path()
+    }
+
+    pub(crate) fn path(&self, inside: &str) -> PathBuf {
+        self.root().join(inside)
+    }
+
+    pub(crate) fn remove(&self, inside: &str) {
+        let path = self.path(inside);
+        if path.is_dir() {
+            fs::remove_dir_all(path).unwrap();
+        } else {
+            fs::remove_file(path).unwrap();
+        }
+    }
+
+    /// Puts the track files into one archive.
+    pub(crate) fn pack_tracks(&self) {
+        use npyz::WriterBuilder as _;
+        let folder = self.path("flow3d_preprocessed/2d_tracks");
+        let archive = self.path("flow3d_preprocessed/2d_tracks.npz");
+        let mut archive = npyz::npz::NpzWriter::create(archive).unwrap();
+        for entry in fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            let data = npyz::NpyFile::new(fs::File::open(&path).unwrap()).unwrap();
+            let shape = data.shape().to_vec();
+            let values = data.into_vec::<f32>().unwrap();
+            let name = path.file_stem().unwrap().to_str().unwrap();
+            let mut writer = archive
+                .array(name, Default::default())
+                .unwrap()
+                .default_dtype()
+                .shape(&shape)
+                .begin_nd()
+                .unwrap();
+            writer.extend(values).unwrap();
+            writer.finish().unwrap();
+        }
+        self.remove("flow3d_preprocessed/2d_tracks");
+    }
+}
