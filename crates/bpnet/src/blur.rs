@@ -2,7 +2,7 @@ use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 use crate::BpNetError;
-use crate::ops::BlurOps;
+use crate::ops::BpNetOps;
 
 /// Largest side of a blur kernel, in pixels.
 pub const MAX_KERNEL_SIZE: usize = 15;
@@ -32,7 +32,7 @@ pub fn blur(image: Tensor<3>, kernel: Tensor<3>) -> Result<Tensor<3>, BpNetError
     BpNetError::check_shape("image", &image.dims(), &[height, width, 3])?;
     BpNetError::check_dtype("image", image.dtype())?;
     BpNetError::check_same_dtype("blur kernel", kernel.dtype(), image.dtype())?;
-    Ok(Tensor::from_dispatch(<Dispatch as BlurOps>::blur(
+    Ok(Tensor::from_dispatch(<Dispatch as BpNetOps>::blur(
         image.into_dispatch(),
         kernel.into_dispatch(),
     )))

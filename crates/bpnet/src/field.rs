@@ -1,6 +1,6 @@
 use burn::tensor::{DType, Device, Tensor, TensorData, activation};
 
-use crate::net::constant;
+use crate::layers::constant;
 use crate::{BpNetError, blur};
 
 /// How every pixel of one frame was blurred, as BP-Net predicts it.

@@ -2,6 +2,8 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
+use crate::layers::Layer;
+
 /// Draws parameters: one stream of a seeded generator per parameter, so that the values of one do
 /// not depend on the sizes of the others.
 pub(crate) struct Initializer<'a> {
@@ -11,14 +13,17 @@ pub(crate) struct Initializer<'a> {
 }
 
 impl Initializer<'_> {
+    /// A layer of `inputs` products per output; its weight is drawn from this stream, its bias from
+    /// the next. `scale` is the weight's alone.
+    pub(crate) fn layer(&self, stream: u64, inputs: usize, outputs: usize, scale: f64) -> Layer {
+        Layer {
+            weight: self.uniform(stream, [inputs, outputs], inputs, scale),
+            bias: self.uniform(stream + 1, [1, outputs], inputs, 1.0),
+        }
+    }
+
     /// Uniform in `±scale / sqrt(fan_in)`, PyTorch's default for weights and biases at scale 1.
-    pub(crate) fn uniform(
-        &self,
-        stream: u64,
-        shape: [usize; 2],
-        fan_in: usize,
-        scale: f64,
-    ) -> Tensor<2> {
+    fn uniform(&self, stream: u64, shape: [usize; 2], fan_in: usize, scale: f64) -> Tensor<2> {
         let bound = scale / (fan_in as f64).sqrt();
         let mut rng = self.stream(stream);
         self.parameter(

@@ -30,6 +30,7 @@ mod error;
 mod extractor;
 mod field;
 mod init;
+mod layers;
 mod net;
 mod ops;
 

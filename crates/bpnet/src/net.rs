@@ -3,6 +3,7 @@ use burn::tensor::{DType, Device, Tensor, activation};
 use crate::encoding::{ENCODING_CHANNELS, positional_encoding};
 use crate::extractor::{FEATURE_CHANNELS, INPUT_CHANNELS, features};
 use crate::init::Initializer;
+use crate::layers::{Layer, constant, conv, softmax_rows};
 use crate::{BlurField, BpNetError};
 
 /// Channels of the camera embedding, one row per training frame.
@@ -63,8 +64,8 @@ pub struct BlurInputs {
 /// features are joined to the outputs of its first two layers again, and its last layer is the
 /// kernel's and the intensity's head.
 ///
-/// All parameters are matrices: weights of the extractor's convolutions `[out, in * k * k]`, of 1x1
-/// layers `[in, out]`, biases `[1, out]`.
+/// All parameters are matrices: weights `[k * k * in, out]` with rows in the order (ky, kx, in), where
+/// k = 1 but in the extractor, and biases `[1, out]`.
 #[derive(Clone, Debug)]
 pub struct BpNet {
     kernel_size: usize,
@@ -74,43 +75,6 @@ pub struct BpNet {
     base: [Layer; 3],
     kernel_head: Layer,
     intensity_head: Layer,
-}
-
-/// Weight and bias of one layer.
-#[derive(Clone, Debug)]
-pub(crate) struct Layer {
-    pub(crate) weight: Tensor<2>,
-    pub(crate) bias: Tensor<2>,
-}
-
-impl Layer {
-    /// The layer without its gradient.
-    pub(crate) fn detached(&self) -> Self {
-        Self {
-            weight: constant(self.weight.clone()),
-            bias: constant(self.bias.clone()),
-        }
-    }
-
-    fn dense(
-        init: &Initializer<'_>,
-        stream: u64,
-        inputs: usize,
-        outputs: usize,
-        scale: f64,
-    ) -> Self {
-        Self {
-            weight: init.uniform(stream, [inputs, outputs], inputs, scale),
-            bias: init.uniform(stream + 1, [1, outputs], inputs, 1.0),
-        }
-    }
-
-    fn conv(init: &Initializer<'_>, stream: u64, inputs: usize, outputs: usize) -> Self {
-        Self {
-            weight: init.uniform(stream, [outputs, inputs], inputs, 1.0),
-            bias: init.uniform(stream + 1, [1, outputs], inputs, 1.0),
-        }
-    }
 }
 
 impl BpNet {
@@ -138,8 +102,8 @@ impl BpNet {
             HeadInit::Mild => 0.1,
             HeadInit::Framework => 1.0,
         };
-        let mut kernel_head = Layer::dense(&init, 12, HIDDEN_CHANNELS, entries, head_scale);
-        let mut intensity_head = Layer::dense(&init, 14, HIDDEN_CHANNELS, 1, head_scale);
+        let mut kernel_head = init.layer(12, HIDDEN_CHANNELS, entries, head_scale);
+        let mut intensity_head = init.layer(14, HIDDEN_CHANNELS, 1, head_scale);
         if config.head == HeadInit::Mild {
             kernel_head.bias = init.parameter(gaussian_logits(config.kernel_size), [1, entries]);
             intensity_head.bias = init.parameter(vec![0.0], [1, 1]);
@@ -148,15 +112,15 @@ impl BpNet {
             kernel_size: config.kernel_size,
             shortcut: config.shortcut,
             extractor: [
-                Layer::conv(&init, 0, INPUT_CHANNELS * 25, HIDDEN_CHANNELS),
-                Layer::conv(&init, 2, HIDDEN_CHANNELS * 25, HIDDEN_CHANNELS),
-                Layer::conv(&init, 4, HIDDEN_CHANNELS * 9, FEATURE_CHANNELS),
+                init.layer(0, INPUT_CHANNELS * 25, HIDDEN_CHANNELS, 1.0),
+                init.layer(2, HIDDEN_CHANNELS * 25, HIDDEN_CHANNELS, 1.0),
+                init.layer(4, HIDDEN_CHANNELS * 9, FEATURE_CHANNELS, 1.0),
             ],
             embedding: init.normal(16, [config.num_frames, EMBEDDING_CHANNELS]),
             base: [
-                Layer::dense(&init, 6, first, HIDDEN_CHANNELS, 1.0),
-                Layer::dense(&init, 8, joined, HIDDEN_CHANNELS, 1.0),
-                Layer::dense(&init, 10, joined, HIDDEN_CHANNELS, 1.0),
+                init.layer(6, first, HIDDEN_CHANNELS, 1.0),
+                init.layer(8, joined, HIDDEN_CHANNELS, 1.0),
+                init.layer(10, joined, HIDDEN_CHANNELS, 1.0),
             ],
             kernel_head,
             intensity_head,
@@ -262,33 +226,33 @@ impl BpNet {
         let features = match extractor {
             Extractor::Trained => features(scene, [height, width], &self.extractor),
             Extractor::Frozen => {
-                let layers = self.extractor.each_ref().map(Layer::detached);
+                let layers = self.extractor.each_ref().map(Layer::constant);
                 features(scene, [height, width], &layers)
             }
         };
 
         // The embedding is the same at every pixel: its product is one row, added like a bias.
         let [first, second, third] = &self.base;
-        let varying = ENCODING_CHANNELS + FEATURE_CHANNELS;
         let embedding = self.embedding.clone().narrow(0, frame, 1);
-        let row = embedding.matmul(first.weight.clone().narrow(0, 0, EMBEDDING_CHANNELS))
-            + first.bias.clone();
+        let of_embedding = first.weight.clone().narrow(0, 0, EMBEDDING_CHANNELS);
+        let varying = ENCODING_CHANNELS + FEATURE_CHANNELS;
+        let first = Layer {
+            weight: first.weight.clone().narrow(0, EMBEDDING_CHANNELS, varying),
+            bias: embedding.matmul(of_embedding) + first.bias.clone(),
+        };
         let encoding = positional_encoding([height, width], &device, dtype);
-        let weight = first.weight.clone().narrow(0, EMBEDDING_CHANNELS, varying);
-        let mut hidden =
-            activation::relu(Tensor::cat(vec![encoding, features.clone()], 1).matmul(weight) + row);
+        let joined = Tensor::cat(vec![encoding, features.clone()], 1);
+        let mut hidden = conv(joined, &first, [height, width], 1, true);
         for layer in [second, third] {
             if self.shortcut {
                 hidden = Tensor::cat(vec![hidden, features.clone()], 1);
             }
-            hidden = activation::relu(hidden.matmul(layer.weight.clone()) + layer.bias.clone());
+            hidden = conv(hidden, layer, [height, width], 1, true);
         }
-        let logits =
-            hidden.clone().matmul(self.kernel_head.weight.clone()) + self.kernel_head.bias.clone();
-        let intensity =
-            hidden.matmul(self.intensity_head.weight.clone()) + self.intensity_head.bias.clone();
+        let logits = conv(hidden.clone(), &self.kernel_head, [height, width], 1, false);
+        let intensity = conv(hidden, &self.intensity_head, [height, width], 1, false);
         Ok(BlurField {
-            kernel: activation::softmax(logits, 1).reshape([height, width, entries]),
+            kernel: softmax_rows(logits).reshape([height, width, entries]),
             intensity: activation::sigmoid(intensity).reshape([height, width]),
         })
     }
@@ -304,6 +268,13 @@ impl BpNet {
             mask,
         } = inputs;
         let [height, width, _] = color.dims();
+        if height * width == 0 {
+            return Err(BpNetError::Shape {
+                name: "colour",
+                found: color.dims().to_vec(),
+                expected: "[H, W, 3] with at least one pixel".to_owned(),
+            });
+        }
         BpNetError::check_shape("colour", &color.dims(), &[height, width, 3])?;
         BpNetError::check_shape("disparity", &disparity.dims(), &[height, width])?;
         BpNetError::check_shape("mask", &mask.dims(), &[height, width])?;
@@ -313,12 +284,6 @@ impl BpNet {
         BpNetError::check_same_dtype("mask", mask.dtype(), dtype)?;
         Ok([height, width])
     }
-}
-
-/// The tensor's values without its gradient. (Burn's `detach` alone turns a leaf that requires a
-/// gradient into another such leaf, and a graph is built again.)
-pub(crate) fn constant<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {
-    tensor.detach().set_require_grad(false)
 }
 
 /// Names of the parameters, in the order of [`BpNet::parameters`].

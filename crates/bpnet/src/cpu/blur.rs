@@ -19,13 +19,13 @@ const LEAST_SUM: f64 = 1e-12;
 
 /// Height, width and kernel side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Size {
+pub(crate) struct BlurSize {
     pub(crate) height: usize,
     pub(crate) width: usize,
     pub(crate) kernel: usize,
 }
 
-impl Size {
+impl BlurSize {
     fn padded_width(self) -> usize {
         self.width + self.kernel - 1
     }
@@ -50,7 +50,7 @@ macro_rules! with_kernel_size {
 }
 
 /// Blurs `image` `[H, W, 3]` with `kernel` `[H, W, K * K]`.
-pub(crate) fn blur<T: Real>(image: &[T], kernel: &[T], size: Size) -> Vec<T> {
+pub(crate) fn blur<T: Real>(image: &[T], kernel: &[T], size: BlurSize) -> Vec<T> {
     let mut output = vec![T::ZERO; image.len()];
     if output.is_empty() {
         return output;
@@ -80,7 +80,7 @@ pub(crate) fn blur_backward<T: Real>(
     image: &[T],
     kernel: &[T],
     gradient: &[T],
-    size: Size,
+    size: BlurSize,
     wanted: [bool; 2],
 ) -> [Option<Vec<T>>; 2] {
     let [image_wanted, kernel_wanted] = wanted;
@@ -142,11 +142,11 @@ pub(crate) fn blur_backward<T: Real>(
 /// The image's three channels and the indicator of its inside, as planes with borders.
 struct Planes<T> {
     values: Vec<T>,
-    size: Size,
+    size: BlurSize,
 }
 
 impl<T: Real> Planes<T> {
-    fn new(image: &[T], size: Size) -> Self {
+    fn new(image: &[T], size: BlurSize) -> Self {
         let half = size.kernel / 2;
         let stride = size.padded_width();
         let plane = (size.height + size.kernel - 1) * stride;
@@ -193,7 +193,7 @@ fn window_mean<T: Real, const K: usize>(
         for (channel, sum) in sums.iter_mut().enumerate() {
             let window = planes.window::<K>(channel, y + ky, x);
             for kx in 0..K {
-                sum[kx] = weights[kx].mul_add(window[kx], sum[kx]);
+                sum[kx] += weights[kx] * window[kx];
             }
         }
     }
@@ -257,7 +257,7 @@ fn backward_band<T: Real, const K: usize>(
                     .expect("a kernel has K rows");
                 let [r, green, b, inside] = [0, 1, 2, 3].map(|c| planes.window::<K>(c, y + ky, x));
                 for kx in 0..K {
-                    let moment = g[0].mul_add(r[kx], g[1].mul_add(green[kx], g[2] * b[kx]));
+                    let moment = g[0] * r[kx] + g[1] * green[kx] + g[2] * b[kx];
                     target[kx] = (moment - level) * inside[kx];
                 }
             }
@@ -270,7 +270,7 @@ fn backward_band<T: Real, const K: usize>(
                         .first_chunk_mut()
                         .expect("the border is K/2 wide");
                     for kx in 0..K {
-                        target[kx] = weights[kx].mul_add(g, target[kx]);
+                        target[kx] += weights[kx] * g;
                     }
                 }
             }
@@ -279,7 +279,7 @@ fn backward_band<T: Real, const K: usize>(
 }
 
 /// Adds the bands' planes, in the order of the bands, and drops their borders: `[H, W, 3]`.
-fn merge_bands<T: Real>(bands: &[Vec<T>], size: Size) -> Vec<T> {
+fn merge_bands<T: Real>(bands: &[Vec<T>], size: BlurSize) -> Vec<T> {
     let half = size.kernel / 2;
     let stride = size.padded_width();
     let mut output = vec![T::ZERO; size.height * size.width * 3];
@@ -301,4 +301,78 @@ fn merge_bands<T: Real>(bands: &[Vec<T>], size: Size) -> Vec<T> {
         }
     }
     output
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn values(count: usize, seed: usize) -> Vec<f64> {
+        (0..count)
+            .map(|i| ((i * 7919 + seed * 104_729) % 10_007) as f64 / 10_007.0)
+            .collect()
+    }
+
+    fn naive(image: &[f64], kernel: &[f64], size: BlurSize) -> Vec<f64> {
+        let half = size.kernel as isize / 2;
+        let mut output = Vec::new();
+        for y in 0..size.height as isize {
+            for x in 0..size.width as isize {
+                let pixel = (y * size.width as isize + x) as usize;
+                let (mut sum, mut color) = (0.0, [0.0; 3]);
+                for j in 0..size.kernel * size.kernel {
+                    let sy = y + (j / size.kernel) as isize - half;
+                    let sx = x + (j % size.kernel) as isize - half;
+                    let inside = (0..size.height as isize).contains(&sy)
+                        && (0..size.width as isize).contains(&sx);
+                    if inside {
+                        let weight = kernel[pixel * size.kernel * size.kernel + j];
+                        let source = (sy * size.width as isize + sx) as usize * 3;
+                        sum += weight;
+                        for c in 0..3 {
+                            color[c] += weight * image[source + c];
+                        }
+                    }
+                }
+                output.extend(color.map(|v| v / sum));
+            }
+        }
+        output
+    }
+
+    #[test]
+    fn it_is_the_mean_over_the_window_inside_the_image() {
+        for kernel in [1, 3, 5, 7, 9, 11, 13, 15] {
+            for (height, width) in [(1, 1), (1, 9), (7, 2), (19, 12)] {
+                let size = BlurSize {
+                    height,
+                    width,
+                    kernel,
+                };
+                let image = values(height * width * 3, 1);
+                let weights = values(height * width * kernel * kernel, 2);
+                let output = blur(&image, &weights, size);
+                for (a, b) in output.iter().zip(naive(&image, &weights, size)) {
+                    assert!((a - b).abs() < 1e-13, "{size:?}: {a} against {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_pixel_without_weight_inside_keeps_its_colour() {
+        // One pixel, whose kernel lies outside the image altogether.
+        let size = BlurSize {
+            height: 1,
+            width: 1,
+            kernel: 3,
+        };
+        let (image, mut kernel) = ([0.1, 0.2, 0.3], [0.125; 9]);
+        kernel[4] = 0.0;
+        assert_eq!(blur(&image, &kernel, size), image);
+        let [image_gradient, kernel_gradient] =
+            blur_backward(&image, &kernel, &[1.0, 2.0, 3.0], size, [true, true]);
+        assert_eq!(image_gradient, Some(vec![1.0, 2.0, 3.0]));
+        assert_eq!(kernel_gradient, Some(vec![0.0; 9]));
+    }
 }

@@ -1,0 +1,676 @@
+//! Convolution with a bias and, if wanted, ReLU; its backward. A 1x1 convolution is a dense layer.
+//!
+//! Pictures are `[H, W, C]`, weights `[k * k * in, out]` with rows in the order (ky, kx, in), borders
+//! are zeros. A window's row is then k * in values in a row of memory, and the product needs no copy
+//! of the windows: a tile of pixels x two vectors of output channels stays in registers while the
+//! window's values are broadcast one by one. The gradient of the input is the same product with the
+//! window mirrored; that of the weights keeps a tile of weights in registers and walks over pixels.
+
+use pulp::{Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::Real;
+
+/// Pixels of a row without borders (dense layers), which one task works on.
+const DENSE_ROW: usize = 252;
+/// Pieces of an image that the gradient of the weights is summed over.
+const BANDS: usize = 16;
+/// Pixels that the gradient of the weights takes at a time, so that they stay in the cache.
+const PIXELS: usize = 64;
+
+/// Sizes of a convolution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ConvSize {
+    pub(crate) height: usize,
+    pub(crate) width: usize,
+    /// Channels in.
+    pub(crate) inputs: usize,
+    /// Channels out.
+    pub(crate) outputs: usize,
+    /// Side of the window in pixels.
+    pub(crate) kernel: usize,
+}
+
+impl ConvSize {
+    /// A dense layer sees pixels in a row; their neighbourhood does not matter.
+    fn rows(self) -> Rows {
+        let half = self.kernel / 2;
+        if half == 0 {
+            let pixels = self.height * self.width;
+            Rows {
+                count: pixels.div_ceil(DENSE_ROW),
+                len: DENSE_ROW,
+                stride: DENSE_ROW,
+                pixels,
+            }
+        } else {
+            Rows {
+                count: self.height,
+                len: self.width,
+                stride: self.width + 2 * half,
+                pixels: self.height * self.width,
+            }
+        }
+    }
+
+    fn window_row(self) -> usize {
+        self.kernel * self.inputs
+    }
+}
+
+/// Rows of pixels: `len` of them (the last row may have fewer), `stride` apart with their borders.
+#[derive(Clone, Copy, Debug)]
+struct Rows {
+    count: usize,
+    len: usize,
+    stride: usize,
+    pixels: usize,
+}
+
+impl Rows {
+    fn len_of(self, row: usize) -> usize {
+        self.len.min(self.pixels - row * self.len)
+    }
+}
+
+/// Output `[H, W, out]` of a convolution of `input` `[H, W, in]`.
+pub(crate) fn conv<T: Real>(
+    input: &[T],
+    weight: &[T],
+    bias: &[T],
+    size: ConvSize,
+    relu: bool,
+) -> Vec<T> {
+    let padded = padded(input, size.inputs, size);
+    pulp::Arch::new().dispatch(Forward {
+        input: &padded,
+        weight: |row: usize, output: usize| weight[row * size.outputs + output],
+        bias: Some(bias),
+        size,
+        relu,
+    })
+}
+
+/// Gradients of a convolution's inputs, where they were wanted.
+pub(crate) struct ConvGradients<T> {
+    pub(crate) input: Option<Vec<T>>,
+    pub(crate) weight_and_bias: Option<(Vec<T>, Vec<T>)>,
+}
+
+/// Backward of [`conv`]; `output` is what it returned, where it ended in ReLU.
+pub(crate) fn conv_backward<T: Real>(
+    input: &[T],
+    weight: &[T],
+    output: Option<&[T]>,
+    gradient: &[T],
+    size: ConvSize,
+    [input_wanted, weight_wanted]: [bool; 2],
+) -> ConvGradients<T> {
+    let masked: Option<Vec<T>> = output.map(|output| {
+        let mut masked = vec![T::ZERO; gradient.len()];
+        let rows = DENSE_ROW * size.outputs;
+        masked
+            .par_chunks_mut(rows)
+            .zip(gradient.par_chunks(rows).zip(output.par_chunks(rows)))
+            .for_each(|(masked, (gradient, output))| {
+                for (m, (&g, &o)) in masked.iter_mut().zip(gradient.iter().zip(output)) {
+                    *m = if o > T::ZERO { g } else { T::ZERO };
+                }
+            });
+        masked
+    });
+    let gradient = masked.as_deref().unwrap_or(gradient);
+    let input_gradient = input_wanted.then(|| {
+        let mirrored = ConvSize {
+            inputs: size.outputs,
+            outputs: size.inputs,
+            ..size
+        };
+        let taps = size.kernel * size.kernel;
+        pulp::Arch::new().dispatch(Forward {
+            input: &padded(gradient, size.outputs, size),
+            weight: |row: usize, output: usize| {
+                let (tap, channel) = (row / size.outputs, row % size.outputs);
+                weight[((taps - 1 - tap) * size.inputs + output) * size.outputs + channel]
+            },
+            bias: None,
+            size: mirrored,
+            relu: false,
+        })
+    });
+    let weight_and_bias = weight_wanted.then(|| {
+        pulp::Arch::new().dispatch(WeightGradient {
+            input: &padded(input, size.inputs, size),
+            gradient,
+            size,
+        })
+    });
+    ConvGradients {
+        input: input_gradient,
+        weight_and_bias,
+    }
+}
+
+/// The picture with a border of zeros, half a window wide; as it is where there is none.
+fn padded<T: Real>(picture: &[T], channels: usize, size: ConvSize) -> std::borrow::Cow<'_, [T]> {
+    let half = size.kernel / 2;
+    if half == 0 || picture.is_empty() {
+        return picture.into();
+    }
+    let row = size.width * channels;
+    let stride = (size.width + 2 * half) * channels;
+    let mut values = vec![T::ZERO; (size.height + 2 * half) * stride];
+    values[half * stride..]
+        .par_chunks_mut(stride)
+        .zip(picture.par_chunks(row))
+        .for_each(|(target, source)| {
+            target[half * channels..][..row].copy_from_slice(source);
+        });
+    values.into()
+}
+
+/// The product of a forward pass, or of the gradient of the input.
+struct Forward<'a, T, W> {
+    /// With borders.
+    input: &'a [T],
+    /// The weight at (row, output).
+    weight: W,
+    bias: Option<&'a [T]>,
+    size: ConvSize,
+    relu: bool,
+}
+
+impl<T: Real, W: Fn(usize, usize) -> T> WithSimd for Forward<'_, T, W> {
+    type Output = Vec<T>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<T> {
+        let Self {
+            input,
+            weight,
+            bias,
+            size,
+            relu,
+        } = self;
+        let rows = size.rows();
+        let mut output = vec![T::ZERO; rows.pixels * size.outputs];
+        if output.is_empty() {
+            return output;
+        }
+        // Blocks of two vectors of outputs, each with all rows of the weight; zeros fill the last.
+        let block = 2 * T::lanes::<S>();
+        let blocks = size.outputs.div_ceil(block);
+        let taps = size.kernel * size.window_row();
+        let mut packed = vec![T::ZERO; blocks * taps * block];
+        let mut packed_bias = vec![T::ZERO; blocks * block];
+        for (i, target) in packed.chunks_exact_mut(block).enumerate() {
+            let (first, row) = (i / taps * block, i % taps);
+            for (lane, value) in target.iter_mut().enumerate().take(size.outputs - first) {
+                *value = weight(row, first + lane);
+            }
+        }
+        if let Some(bias) = bias {
+            packed_bias[..bias.len()].copy_from_slice(bias);
+        }
+        output
+            .par_chunks_mut(rows.len * size.outputs)
+            .enumerate()
+            .for_each(|(row, output)| {
+                let task = ForwardRow {
+                    input: &input[row * rows.stride * size.inputs..],
+                    packed: &packed,
+                    bias: &packed_bias,
+                    size,
+                    stride: rows.stride,
+                    relu,
+                    output,
+                };
+                simd.vectorize(task);
+            });
+        output
+    }
+}
+
+struct ForwardRow<'a, T> {
+    /// From the window row of the first pixel on.
+    input: &'a [T],
+    packed: &'a [T],
+    bias: &'a [T],
+    size: ConvSize,
+    stride: usize,
+    relu: bool,
+    output: &'a mut [T],
+}
+
+impl<T: Real> WithSimd for ForwardRow<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        // 24 sums fit where there are 32 registers, 12 where there are 16.
+        if T::lanes::<S>() * size_of::<T>() >= 64 {
+            self.tiles::<S, 12>(simd);
+        } else {
+            self.tiles::<S, 6>(simd);
+        }
+    }
+}
+
+impl<T: Real> ForwardRow<'_, T> {
+    #[inline(always)]
+    fn tiles<S: Simd, const P: usize>(self, simd: S) {
+        let Self {
+            input,
+            packed,
+            bias,
+            size,
+            stride,
+            relu,
+            output,
+        } = self;
+        let block = 2 * T::lanes::<S>();
+        let len = size.window_row();
+        let taps = size.kernel * len;
+        let last = output.len() / size.outputs - 1;
+        let (packed, _) = T::as_vectors::<S>(packed);
+        let (packed, _) = packed.as_chunks::<2>();
+        let (bias, _) = T::as_vectors::<S>(bias);
+        let (bias, _) = bias.as_chunks::<2>();
+        for first in (0..=last).step_by(P) {
+            for (index, (weights, &bias)) in packed.chunks_exact(taps).zip(bias).enumerate() {
+                let mut sums = [bias; P];
+                for (ky, weights) in weights.chunks_exact(len).enumerate() {
+                    let windows: [&[T]; P] = std::array::from_fn(|p| {
+                        let x = (first + p).min(last);
+                        &input[(ky * stride + x) * size.inputs..][..len]
+                    });
+                    for j in 0..len {
+                        let [w0, w1] = weights[j];
+                        for p in 0..P {
+                            let value = T::splat(simd, windows[p][j]);
+                            sums[p][0] = T::mul_add(simd, value, w0, sums[p][0]);
+                            sums[p][1] = T::mul_add(simd, value, w1, sums[p][1]);
+                        }
+                    }
+                }
+                let channels = block.min(size.outputs - index * block);
+                for (p, sum) in sums.iter().enumerate().take(last + 1 - first) {
+                    let values: &[T] = bytemuck::cast_slice(sum);
+                    let start = (first + p) * size.outputs + index * block;
+                    let target = &mut output[start..start + channels];
+                    for (target, &value) in target.iter_mut().zip(values) {
+                        // Not a number stays one.
+                        *target = if relu && value < T::ZERO {
+                            T::ZERO
+                        } else {
+                            value
+                        };
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Gradients of weight and bias.
+struct WeightGradient<'a, T> {
+    /// With borders.
+    input: &'a [T],
+    gradient: &'a [T],
+    size: ConvSize,
+}
+
+impl<T: Real> WithSimd for WeightGradient<'_, T> {
+    type Output = (Vec<T>, Vec<T>);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> (Vec<T>, Vec<T>) {
+        let Self {
+            input,
+            gradient,
+            size,
+        } = self;
+        let rows = size.rows();
+        let taps = size.kernel * size.window_row();
+        let block = 2 * T::lanes::<S>();
+        let columns = size.outputs.next_multiple_of(block);
+        let per_band = rows.count.div_ceil(BANDS).max(1);
+        let parts: Vec<Vec<T>> = (0..rows.count.div_ceil(per_band))
+            .into_par_iter()
+            .map(|band| {
+                let mut part = vec![T::ZERO; (taps + 1) * columns];
+                simd.vectorize(WeightGradientBand {
+                    input,
+                    gradient,
+                    size,
+                    rows,
+                    range: band * per_band..((band + 1) * per_band).min(rows.count),
+                    part: &mut part,
+                });
+                part
+            })
+            .collect();
+        let mut sum = vec![T::ZERO; (taps + 1) * size.outputs];
+        sum.par_chunks_mut(size.outputs)
+            .enumerate()
+            .for_each(|(row, sum)| {
+                for part in &parts {
+                    for (sum, &value) in sum.iter_mut().zip(&part[row * columns..]) {
+                        *sum += value;
+                    }
+                }
+            });
+        let bias = sum.split_off(taps * size.outputs);
+        (sum, bias)
+    }
+}
+
+struct WeightGradientBand<'a, T> {
+    input: &'a [T],
+    gradient: &'a [T],
+    size: ConvSize,
+    rows: Rows,
+    range: std::ops::Range<usize>,
+    /// `[taps + 1, columns]`, the last row for the bias.
+    part: &'a mut [T],
+}
+
+impl<T: Real> WithSimd for WeightGradientBand<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self {
+            input,
+            gradient,
+            size,
+            rows,
+            range,
+            part,
+        } = self;
+        let block = 2 * T::lanes::<S>();
+        let columns = size.outputs.next_multiple_of(block);
+        let len = size.window_row();
+        let taps = size.kernel * len;
+        let mut tile = vec![T::ZERO; PIXELS * columns];
+        for row in range {
+            for first in (0..rows.len_of(row)).step_by(PIXELS) {
+                let pixels = PIXELS.min(rows.len_of(row) - first);
+                let start = (row * rows.len + first) * size.outputs;
+                let source = &gradient[start..start + pixels * size.outputs];
+                for (target, source) in tile
+                    .chunks_exact_mut(columns)
+                    .zip(source.chunks_exact(size.outputs))
+                {
+                    target[..size.outputs].copy_from_slice(source);
+                    for (sum, &value) in part[taps * columns..].iter_mut().zip(source) {
+                        *sum += value;
+                    }
+                }
+                let tile = &tile[..pixels * columns];
+                for ky in 0..size.kernel {
+                    let window = &input[((row + ky) * rows.stride + first) * size.inputs..];
+                    let part = &mut part[ky * len * columns..][..len * columns];
+                    for column in (0..columns).step_by(block) {
+                        let mut j = 0;
+                        while j + 12 <= len {
+                            accumulate::<T, S, 12>(
+                                simd,
+                                &window[j..],
+                                size.inputs,
+                                tile,
+                                columns,
+                                column,
+                                &mut part[j * columns..],
+                            );
+                            j += 12;
+                        }
+                        while j + 4 <= len {
+                            accumulate::<T, S, 4>(
+                                simd,
+                                &window[j..],
+                                size.inputs,
+                                tile,
+                                columns,
+                                column,
+                                &mut part[j * columns..],
+                            );
+                            j += 4;
+                        }
+                        while j < len {
+                            accumulate::<T, S, 1>(
+                                simd,
+                                &window[j..],
+                                size.inputs,
+                                tile,
+                                columns,
+                                column,
+                                &mut part[j * columns..],
+                            );
+                            j += 1;
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Adds the outer products of J window values and two vectors of gradient, over the pixels of a tile.
+#[inline(always)]
+fn accumulate<T: Real, S: Simd, const J: usize>(
+    simd: S,
+    window: &[T],
+    inputs: usize,
+    tile: &[T],
+    columns: usize,
+    column: usize,
+    part: &mut [T],
+) {
+    let lanes = T::lanes::<S>();
+    let mut sums = [[T::splat(simd, T::ZERO); 2]; J];
+    let pixels = tile.len() / columns;
+    // Checked once here, so that the loop has no way out that would force the sums into memory.
+    let window = &window[..(pixels - 1) * inputs + J];
+    for pixel in 0..pixels {
+        let gradient = &tile[pixel * columns + column..][..2 * lanes];
+        let (gradient, _) = T::as_vectors::<S>(gradient);
+        let (g0, g1) = (gradient[0], gradient[1]);
+        let values = &window[pixel * inputs..][..J];
+        for j in 0..J {
+            let value = T::splat(simd, values[j]);
+            sums[j][0] = T::mul_add(simd, value, g0, sums[j][0]);
+            sums[j][1] = T::mul_add(simd, value, g1, sums[j][1]);
+        }
+    }
+    // Copied out one by one, so that no index that varies forces the sums into memory.
+    let stored: [[T::Vector<S>; 2]; J] = std::array::from_fn(|j| sums[j]);
+    for (j, sum) in stored.iter().enumerate() {
+        let values: &[T] = bytemuck::cast_slice(sum);
+        for (target, &value) in part[j * columns + column..].iter_mut().zip(values) {
+            *target += value;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values without a pattern, in [-1, 1].
+    fn values(count: usize, seed: usize) -> Vec<f64> {
+        (0..count)
+            .map(|i| (((i * 7919 + seed * 104_729) % 10_007) as f64 / 5003.0 - 1.0).sin())
+            .collect()
+    }
+
+    fn naive(input: &[f64], weight: &[f64], bias: &[f64], size: ConvSize) -> Vec<f64> {
+        let half = size.kernel as isize / 2;
+        let mut output = Vec::new();
+        for y in 0..size.height as isize {
+            for x in 0..size.width as isize {
+                for o in 0..size.outputs {
+                    let mut sum = bias[o];
+                    for tap in 0..size.kernel * size.kernel {
+                        let sy = y + (tap / size.kernel) as isize - half;
+                        let sx = x + (tap % size.kernel) as isize - half;
+                        if sy < 0 || sy >= size.height as isize {
+                            continue;
+                        }
+                        if sx < 0 || sx >= size.width as isize {
+                            continue;
+                        }
+                        let pixel = sy as usize * size.width + sx as usize;
+                        for c in 0..size.inputs {
+                            sum += input[pixel * size.inputs + c]
+                                * weight[(tap * size.inputs + c) * size.outputs + o];
+                        }
+                    }
+                    output.push(sum);
+                }
+            }
+        }
+        output
+    }
+
+    fn dot(a: &[f64], b: &[f64]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| a * b).sum()
+    }
+
+    fn narrow(values: &[f64]) -> Vec<f32> {
+        values.iter().map(|&v| v as f32).collect()
+    }
+
+    /// (height, width, inputs, outputs, kernel): narrower than a window and than a tile of pixels,
+    /// channels that fill no vector, more pixels than a task takes.
+    const SIZES: [(usize, usize, usize, usize, usize); 9] = [
+        (1, 1, 1, 1, 1),
+        (1, 1, 5, 3, 5),
+        (1, 7, 3, 4, 3),
+        (9, 2, 2, 33, 5),
+        (6, 13, 5, 64, 5),
+        (20, 27, 7, 10, 3),
+        (5, 101, 6, 9, 1),
+        (4, 70, 17, 81, 3),
+        (3, 200, 13, 82, 1),
+    ];
+
+    fn sizes() -> impl Iterator<Item = ConvSize> {
+        SIZES
+            .into_iter()
+            .map(|(height, width, inputs, outputs, kernel)| ConvSize {
+                height,
+                width,
+                inputs,
+                outputs,
+                kernel,
+            })
+    }
+
+    #[test]
+    fn it_is_the_sum_over_the_window() {
+        for size in sizes() {
+            let pixels = size.height * size.width;
+            let taps = size.kernel * size.kernel * size.inputs;
+            let input = values(pixels * size.inputs, 1);
+            let weight = values(taps * size.outputs, 2);
+            let bias = values(size.outputs, 3);
+            let expected = naive(&input, &weight, &bias, size);
+            let output = conv(&input, &weight, &bias, size, false);
+            let rectified = conv(&input, &weight, &bias, size, true);
+            let single = conv(
+                &narrow(&input),
+                &narrow(&weight),
+                &narrow(&bias),
+                size,
+                false,
+            );
+            let largest = expected.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            for (i, &e) in expected.iter().enumerate() {
+                assert!((output[i] - e).abs() < 1e-12 * largest, "{size:?} at {i}");
+                assert!(
+                    (rectified[i] - e.max(0.0)).abs() < 1e-12 * largest,
+                    "{size:?} at {i}"
+                );
+                assert!(
+                    (f64::from(single[i]) - e).abs() < 2e-6 * largest,
+                    "{size:?} at {i}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_backward_is_the_adjoint() {
+        for size in sizes() {
+            let pixels = size.height * size.width;
+            let taps = size.kernel * size.kernel * size.inputs;
+            let input = values(pixels * size.inputs, 1);
+            let weight = values(taps * size.outputs, 2);
+            let gradient = values(pixels * size.outputs, 4);
+            let zero = vec![0.0; size.outputs];
+            let gradients = conv_backward(&input, &weight, None, &gradient, size, [true, true]);
+            let (weight_gradient, bias_gradient) =
+                gradients.weight_and_bias.expect("it was wanted");
+            let input_gradient = gradients.input.expect("it was wanted");
+            // Linear in each of input, weight and bias: <g, conv(direction)> = <gradient, direction>.
+            for seed in 5..8 {
+                let near = |a: f64, b: f64| (a - b).abs() < 1e-9 * (1.0 + a.abs());
+                let direction = values(input.len(), seed);
+                let change = dot(&gradient, &naive(&direction, &weight, &zero, size));
+                assert!(
+                    near(change, dot(&input_gradient, &direction)),
+                    "input, {size:?}"
+                );
+                let direction = values(weight.len(), seed);
+                let change = dot(&gradient, &naive(&input, &direction, &zero, size));
+                assert!(
+                    near(change, dot(&weight_gradient, &direction)),
+                    "weight, {size:?}"
+                );
+                let direction = values(size.outputs, seed);
+                let change = dot(
+                    &gradient,
+                    &naive(&input, &vec![0.0; weight.len()], &direction, size),
+                );
+                assert!(
+                    near(change, dot(&bias_gradient, &direction)),
+                    "bias, {size:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn relu_stops_gradients_where_it_cut() {
+        let size = ConvSize {
+            height: 1,
+            width: 2,
+            inputs: 1,
+            outputs: 1,
+            kernel: 1,
+        };
+        let output = conv(&[2.0, -2.0], &[3.0], &[0.5], size, true);
+        assert_eq!(output, [6.5, 0.0]);
+        let gradients = conv_backward(
+            &[2.0, -2.0],
+            &[3.0],
+            Some(&output),
+            &[1.0, 1.0],
+            size,
+            [true, true],
+        );
+        assert_eq!(gradients.input, Some(vec![3.0, 0.0]));
+        assert_eq!(gradients.weight_and_bias, Some((vec![2.0], vec![1.0])));
+        assert!(
+            conv(
+                &[f32::NAN],
+                &[1.0],
+                &[0.0],
+                ConvSize { width: 1, ..size },
+                true
+            )[0]
+            .is_nan()
+        );
+    }
+}
