@@ -8,6 +8,7 @@ use crate::model::{GaussianTensors, Model, MotionModel, host};
 use crate::neighbors::{Neighbors, mean_neighbor_distances};
 use crate::optimizer::Optimizer;
 use crate::placement::{Seeds, depth_edges, lift, pixel_color};
+use crate::real::leaf;
 use crate::random::{Purpose, derived_seed, generator, sample};
 use crate::settings::Settings;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
@@ -50,15 +51,15 @@ pub(crate) fn start_dynamics(
         })
         .collect();
 
-    let leaf = |values: Vec<f64>, shape: [usize; 2]| {
+    let start = |values: Vec<f64>, shape: [usize; 2]| {
         Tensor::<2>::from_data(TensorData::new(values, shape), (device, dtype)).require_grad()
     };
     let canonical = init.canonical_frame;
     let at_canonical: Vec<DVec3> = (0..kept).map(|p| init.tracks.positions[p * frames + canonical]).collect();
-    let mut rots = leaf(init.rots.clone(), [bases, frames * 6]);
-    let mut transls = leaf(init.transls.clone(), [bases, frames * 3]);
-    let mut coefficients = leaf(init.coefficients.iter().map(|&c| f64::from(c)).collect(), [kept, bases]);
-    let mut means = leaf(at_canonical.iter().flat_map(|m| m.to_array()).collect(), [kept, 3]);
+    let mut rots = start(init.rots.clone(), [bases, frames * 6]);
+    let mut transls = start(init.transls.clone(), [bases, frames * 3]);
+    let mut coefficients = start(init.coefficients.iter().map(|&c| f64::from(c)).collect(), [kept, bases]);
+    let mut means = start(at_canonical.iter().flat_map(|m| m.to_array()).collect(), [kept, 3]);
     let data = FitData::new(&init, &cameras, device, dtype)?;
     let mut optimizer = Optimizer::default();
     let steps = settings.motion.first_fit_steps;
@@ -90,14 +91,14 @@ pub(crate) fn start_dynamics(
     let colors = chosen.iter().map(|&p| init.tracks.colors[p]).collect();
     let note = format!("{kept} tracks, {bases} motion bases, canonical frame {canonical}, {} dynamic Gaussians", chosen.len());
     let rows: Vec<i64> = chosen.iter().map(|&p| p as i64).collect();
-    let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [chosen.len()]), device);
+    let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [chosen.len()]), &device.clone().inner());
     let motion = MotionModel {
         bases: MotionBases {
-            rots: rots.detach().require_grad(),
-            transls: transls.detach().require_grad(),
+            rots,
+            transls,
             num_frames: frames,
         },
-        coefficients: coefficients.detach().select(0, rows).require_grad(),
+        coefficients: leaf(coefficients.inner().select(0, rows), true),
     };
     Ok(Some(DynamicStart { seeds: Seeds { means, colors, scales }, motion, note }))
 }

@@ -8,6 +8,7 @@ use crate::dynamics::densify;
 use crate::losses;
 use crate::model::host;
 use crate::optimizer::Rates;
+use crate::real::leaf;
 use crate::random::{Purpose, generator};
 use crate::trainer::Trainer;
 use crate::views::{ViewRef, camera_of};
@@ -337,8 +338,9 @@ fn edit_of(name: &str, edit: &RowEdit) -> Option<RowEdit> {
 /// `tensor` with `rows` inserted before row `at`: a new leaf.
 fn insert_rows(tensor: &Tensor<2>, at: usize, rows: &Tensor<2>) -> Tensor<2> {
     let n = tensor.dims()[0];
-    let old = tensor.clone().detach();
-    Tensor::cat(vec![old.clone().slice([0..at]), rows.clone(), old.slice([at..n])], 0).detach().require_grad()
+    let old = tensor.clone().inner();
+    let parts = vec![old.clone().slice([0..at]), rows.clone().inner(), old.slice([at..n])];
+    leaf(Tensor::cat(parts, 0), tensor.is_autodiff())
 }
 
 /// What BP-Net sees of a render: colour, disparity times S, dynamic mask.

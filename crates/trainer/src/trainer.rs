@@ -4,7 +4,7 @@ use crate::TrainError;
 use crate::density::DensityStats;
 use crate::dynamics::start_dynamics;
 use crate::gauge::Gauge;
-use crate::model::{GaussianTensors, Model};
+use crate::model::{GaussianTensors, Model, tensor};
 use crate::optimizer::Optimizer;
 use crate::placement::{Seeds, place_points, place_static};
 use crate::random::{Purpose, derived_seed, generator, permutation};
@@ -15,6 +15,7 @@ use crate::views::{UnseenView, ViewRef, unseen_views};
 use bpnet::{BpNet, BpNetConfig, HeadInit};
 use burn::tensor::{DType, Device};
 use io::Scene;
+use splat_core::Gaussians;
 
 /// Trains one scene.
 ///
@@ -122,6 +123,37 @@ impl Trainer {
             model,
             unseen,
         })
+    }
+
+    /// Starts from these Gaussians, all of them static, in place of those that were placed.
+    ///
+    /// # Errors
+    /// There is none, training has begun, or their SH degree is not that of the settings.
+    pub fn start_from(&mut self, gaussians: &Gaussians) -> Result<(), TrainError> {
+        let degree = self.settings.gaussians.sh_degree;
+        if gaussians.is_empty() || self.progress.iteration > 0 || gaussians.sh_degree != degree {
+            return Err(TrainError::Scene(format!(
+                "training starts from at least one Gaussian of SH degree {degree}, before its first iteration; \
+                 given are {} of degree {} at iteration {}",
+                gaussians.len(),
+                gaussians.sh_degree,
+                self.progress.iteration
+            )));
+        }
+        let n = gaussians.len();
+        let leaf = |values: Vec<f32>, columns| tensor(values, [n, columns], &self.device).require_grad();
+        self.model = Model {
+            means: leaf(gaussians.means.as_flattened().to_vec(), 3),
+            quats: leaf(gaussians.quats.as_flattened().to_vec(), 4),
+            log_scales: leaf(gaussians.log_scales.as_flattened().to_vec(), 3),
+            opacity_logits: leaf(gaussians.opacity_logits.clone(), 1),
+            sh: leaf(gaussians.sh.clone(), gaussians.sh.len() / n),
+            num_dynamic: 0,
+            motion: None,
+            blur: self.model.blur.take(),
+        };
+        self.density = DensityStats::new(n);
+        Ok(())
     }
 
     /// The settings of this run.
