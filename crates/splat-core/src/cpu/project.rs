@@ -10,7 +10,7 @@ use crate::SplatError;
 /// Gaussians per piece of parallel work; fixed, so that results do not depend on threads.
 pub(super) const CHUNK: usize = 512;
 
-/// A visible Gaussian as the rasteriser sees it.
+/// A visible Gaussian as the rasteriser sees it, kept small: tiles load it from all over memory.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Splat<T> {
     /// Mean in pixels.
@@ -20,21 +20,23 @@ pub(super) struct Splat<T> {
     pub(super) l21: T,
     pub(super) l22: T,
     pub(super) opacity: T,
-    /// z-depth.
-    pub(super) depth: T,
-    /// max(SH + 0.5, 0).
-    pub(super) color: [T; 3],
+    /// max(SH + 0.5, 0), and z-depth.
+    pub(super) channels: [T; 4],
+    /// Rows of pixels [from, to) that its bounding box meets.
+    pub(super) rows: [u16; 2],
+    /// Row in the inputs.
+    pub(super) row: u32,
+}
+
+/// How far a visible Gaussian reaches in the image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Extent<T> {
     /// Where sigma is larger, alpha is under the threshold.
     pub(super) sigma_max: T,
     /// Half the size of the bounding box of that ellipse, px, a little enlarged.
-    pub(super) half_width: T,
-    pub(super) half_height: T,
-    /// Rows of pixels [from, to) that the bounding box meets.
-    pub(super) rows: [u32; 2],
+    pub(super) half: [T; 2],
     /// Three standard deviations along the longer axis, px.
-    pub(super) radius: f32,
-    /// Row in the inputs.
-    pub(super) row: u32,
+    radius: f32,
 }
 
 /// Gaussians projected into a view, in depth order, with their tile lists.
@@ -104,7 +106,7 @@ pub fn project<T: Real>(
     splats.check(view.sh_degree)?;
     let count = splats.len();
     let lens = Lens::new(view);
-    let chunks: Vec<Vec<Splat<T>>> = (0..count.div_ceil(CHUNK))
+    let chunks: Vec<Vec<(Splat<T>, Extent<T>)>> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
             let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(count);
@@ -114,24 +116,25 @@ pub fn project<T: Real>(
                 .collect())
         })
         .collect::<Result<_, SplatError>>()?;
-    let unsorted: Vec<Splat<T>> = chunks.concat();
+    let unsorted = chunks.concat();
 
     let mut order: Vec<(u64, u32)> = unsorted
         .iter()
         .enumerate()
-        .map(|(k, s)| (s.depth.sort_bits(), k as u32))
+        .map(|(k, (s, _))| (s.channels[3].sort_bits(), k as u32))
         .collect();
     // Keys are distinct, so that an unstable parallel sort has one possible result.
     order.par_sort_unstable();
-    let sorted: Vec<Splat<T>> = order.iter().map(|(_, k)| unsorted[*k as usize]).collect();
+    let (sorted, extents): (Vec<_>, Vec<_>) =
+        order.iter().map(|(_, k)| unsorted[*k as usize]).unzip();
 
-    let tiles = TileLists::new(&sorted, view.camera.width, view.camera.height)?;
+    let tiles = TileLists::new(&sorted, &extents, view.camera.width, view.camera.height)?;
     let mut rank = vec![u32::MAX; count];
     let mut radii = vec![0.0; count];
-    for (k, s) in sorted.iter().enumerate() {
-        rank[s.row as usize] = k as u32;
+    for (k, (splat, extent)) in sorted.iter().zip(&extents).enumerate() {
+        rank[splat.row as usize] = k as u32;
         if tiles.slot_starts[k] < tiles.slot_starts[k + 1] {
-            radii[s.row as usize] = s.radius;
+            radii[splat.row as usize] = extent.radius;
         }
     }
     Ok(Projection {
@@ -183,7 +186,7 @@ fn project_row<T: Real>(
     view: &View<T>,
     lens: &Lens<T>,
     row: usize,
-) -> Option<Splat<T>> {
+) -> Option<(Splat<T>, Extent<T>)> {
     let opacity = sigmoid(splats.opacity_logits[row]);
     if opacity < T::of(MIN_ALPHA) {
         return None;
@@ -192,9 +195,9 @@ fn project_row<T: Real>(
     let g = project_one(lens, &view.cam_from_world, mean, quat, left, log_scale)?;
     let sigma_max = (opacity / T::of(MIN_ALPHA)).ln().max(T::ZERO);
     // Enlarged beyond rounding: the threshold is decided per pixel, not here.
-    let extent =
+    let reach =
         |variance: T| (T::of(2.0) * sigma_max * variance).sqrt() * T::of(1.001) + T::of(0.01);
-    let (half_width, half_height) = (extent(g.xx), extent(g.yy));
+    let (half_width, half_height) = (reach(g.xx), reach(g.yy));
     let [mx, my] = g.mean2d;
     pixel_range(mx - half_width, mx + half_width, view.camera.width)?;
     let (from, to) = pixel_range(my - half_height, my + half_height, view.camera.height)?;
@@ -212,21 +215,23 @@ fn project_row<T: Real>(
     let spread = T::of(0.5) * (g.xx - g.yy);
     let xy = g.rho * g.yy;
     let larger = middle + (spread * spread + xy * xy).sqrt();
-    Some(Splat {
+    let splat = Splat {
         mean: g.mean2d,
         l11,
         l21: -g.rho * l11,
         l22: (T::of(0.5) / g.yy).sqrt(),
         opacity,
-        depth: g.point[2],
-        color,
-        sigma_max,
-        half_width,
-        half_height,
-        rows: [from as u32, to as u32],
-        radius: (3.0 * larger.to_f64().sqrt()).min(f64::from(f32::MAX)) as f32,
+        channels: [color[0], color[1], color[2], g.point[2]],
+        // The sides of an image are at most 65,535 px.
+        rows: [from as u16, to as u16],
         row: row as u32,
-    })
+    };
+    let extent = Extent {
+        sigma_max,
+        half: [half_width, half_height],
+        radius: (3.0 * larger.to_f64().sqrt()).min(f64::from(f32::MAX)) as f32,
+    };
+    Some((splat, extent))
 }
 
 #[inline(always)]

@@ -119,25 +119,31 @@ impl<T: Real> Job<'_, T> {
     fn run(&self, mut piece: Piece<'_, T>) -> [T; 12] {
         let mut pose = [T::ZERO; 12];
         let width = GEOMETRIC + 4 + self.num_features;
-        let mut sums = vec![T::ZERO; width];
-        for local in 0..piece.screen.len() {
-            let row = piece.first + local;
-            let rank = self.projection.rank[row];
-            if rank == u32::MAX {
-                continue;
-            }
-            let slots = self.projection.tiles.slots_of_gaussian(rank as usize);
-            if slots.is_empty() {
-                continue;
-            }
-            sums.fill(T::ZERO);
-            for slot in slots {
-                let partial = &self.partial[*slot as usize * width..][..width];
-                for (sum, value) in sums.iter_mut().zip(partial) {
-                    *sum += *value;
+        // All sums of the piece first, in a tight loop: the cache misses on the partial gradients,
+        // which lie in the order of tiles, then overlap.
+        let mut sums = vec![T::ZERO; width * piece.screen.len()];
+        let ranks = &self.projection.rank[piece.first..piece.first + piece.screen.len()];
+        for (rank, sums) in ranks.iter().zip(sums.chunks_exact_mut(width)) {
+            if *rank != u32::MAX {
+                for slot in self.projection.tiles.slots_of_gaussian(*rank as usize) {
+                    let partial = &self.partial[*slot as usize * width..][..width];
+                    for (sum, value) in sums.iter_mut().zip(partial) {
+                        *sum += *value;
+                    }
                 }
             }
-            self.row(row, rank as usize, local, &sums, &mut piece, &mut pose);
+        }
+        for (local, (rank, sums)) in ranks.iter().zip(sums.chunks_exact(width)).enumerate() {
+            if *rank != u32::MAX {
+                self.row(
+                    piece.first + local,
+                    *rank as usize,
+                    local,
+                    sums,
+                    &mut piece,
+                    &mut pose,
+                );
+            }
         }
         pose
     }

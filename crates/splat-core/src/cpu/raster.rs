@@ -3,8 +3,8 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::lanes::{Lanes, PerChannel};
-use super::project::find_not_finite;
+use super::lanes::{Lanes, PerChannel, add_scaled};
+use super::project::{Splat, find_not_finite};
 use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Projection, Real, TILE};
 use crate::SplatError;
 
@@ -63,17 +63,21 @@ pub fn rasterize<T: Real>(
         .zip(&mut transmittance)
         .zip(&mut last)
         .enumerate()
-        .for_each(|(tile, ((blended, transmittance), last))| {
-            arch.dispatch(BlendTile {
-                projection,
-                features,
-                num_features,
-                tile,
-                blended,
-                transmittance,
-                last,
-            });
-        });
+        .for_each_init(
+            Vec::new,
+            |batch, (tile, ((blended, transmittance), last))| {
+                arch.dispatch(BlendTile {
+                    projection,
+                    features,
+                    num_features,
+                    tile,
+                    blended,
+                    transmittance,
+                    last,
+                    batch,
+                });
+            },
+        );
 
     let (width, depth_and_more) = (projection.view.camera.width, num_features + 1);
     let stride = BASE_CHANNELS + num_features;
@@ -112,18 +116,25 @@ pub(super) fn offsets<T: Real>(first_column: usize, mean_x: T) -> Lanes<T> {
     std::array::from_fn(|l| (base + T::of(l as f64)) - mean_x)
 }
 
+/// Gaussians that a tile loads at a time: their cache misses overlap.
+pub(super) const BATCH: usize = 64;
+
+/// Loads a batch of a tile's Gaussians.
+#[inline(always)]
+pub(super) fn load_batch<T: Real>(
+    projection: &Projection<T>,
+    list: &[u32],
+    batch: &mut Vec<Splat<T>>,
+) {
+    batch.clear();
+    batch.extend(list.iter().map(|g| projection.splats[*g as usize]));
+}
+
 /// Colour, depth and features of a Gaussian.
 #[inline(always)]
-pub(super) fn load_channels<T: Real>(
-    projection: &Projection<T>,
-    features: &[T],
-    num_features: usize,
-    gaussian: usize,
-    values: &mut [T],
-) {
-    let splat = &projection.splats[gaussian];
-    values[..3].copy_from_slice(&splat.color);
-    values[3] = splat.depth;
+pub(super) fn load_channels<T: Real>(splat: &Splat<T>, features: &[T], values: &mut [T]) {
+    values[..4].copy_from_slice(&splat.channels);
+    let num_features = values.len() - 4;
     if num_features > 0 {
         let row = splat.row as usize * num_features;
         values[4..].copy_from_slice(&features[row..row + num_features]);
@@ -138,6 +149,8 @@ struct BlendTile<'a, T> {
     blended: &'a mut [Lanes<T>],
     transmittance: &'a mut [Lanes<T>; TILE],
     last: &'a mut [Lanes<u32>; TILE],
+    /// Reused by the tiles of a thread.
+    batch: &'a mut Vec<Splat<T>>,
 }
 
 impl<T: Real> WithSimd for BlendTile<'_, T> {
@@ -172,51 +185,44 @@ impl<T: Real> BlendTile<'_, T> {
         let values = values.values();
         let channels = values.len();
         let list = &tiles.gaussians[tiles.slots_of_tile(self.tile)];
-        for (place, gaussian) in list.iter().enumerate() {
-            // Every now and then: are all pixels done?
-            if place % 16 == 15 && threshold.iter().flatten().all(|t| *t == T::of(DONE)) {
+        for (k, batch_list) in list.chunks(BATCH).enumerate() {
+            if threshold.iter().flatten().all(|t| *t == T::of(DONE)) {
                 break;
             }
-            let splat = &projection.splats[*gaussian as usize];
-            load_channels(
-                projection,
-                self.features,
-                self.num_features,
-                *gaussian as usize,
-                values,
-            );
-            let dx = offsets(left, splat.mean[0]);
-            let first = (splat.rows[0] as usize).saturating_sub(top);
-            let end = (splat.rows[1] as usize - top).min(TILE);
-            for row in first..end {
-                let dy = T::of((top + row) as f64 + 0.5) - splat.mean[1];
-                let shift = splat.l21 * dy;
-                let q = splat.l22 * dy;
-                let q2 = q * q;
-                let threshold = &mut threshold[row];
-                let transmittance = &mut self.transmittance[row];
-                let last = &mut self.last[row];
-                let mut weight = [T::ZERO; TILE];
-                for l in 0..TILE {
-                    let p = splat.l11 * dx[l] + shift;
-                    let alpha = (splat.opacity * (p * p + q2).exp_neg()).min(T::of(MAX_ALPHA));
-                    let before = transmittance[l];
-                    let after = before * (T::ONE - alpha);
-                    let seen = alpha >= threshold[l];
-                    let drawn = seen & (after > T::of(MIN_TRANSMITTANCE));
-                    threshold[l] = if seen & !drawn {
-                        T::of(DONE)
-                    } else {
-                        threshold[l]
-                    };
-                    transmittance[l] = if drawn { after } else { before };
-                    last[l] = if drawn { place as u32 + 1 } else { last[l] };
-                    weight[l] = if drawn { alpha * before } else { T::ZERO };
-                }
-                let blended = &mut self.blended[row * channels..][..channels];
-                for (sum, value) in blended.iter_mut().zip(values.iter()) {
+            load_batch(projection, batch_list, self.batch);
+            for (place, splat) in self.batch.iter().enumerate() {
+                let place = (k * BATCH + place) as u32;
+                load_channels(splat, self.features, values);
+                let dx = offsets(left, splat.mean[0]);
+                let [from, to] = splat.rows.map(usize::from);
+                for row in from.saturating_sub(top)..(to - top).min(TILE) {
+                    let dy = T::of((top + row) as f64 + 0.5) - splat.mean[1];
+                    let shift = splat.l21 * dy;
+                    let q = splat.l22 * dy;
+                    let q2 = q * q;
+                    let threshold = &mut threshold[row];
+                    let transmittance = &mut self.transmittance[row];
+                    let last = &mut self.last[row];
+                    let mut weight = [T::ZERO; TILE];
                     for l in 0..TILE {
-                        sum[l] += weight[l] * *value;
+                        let p = splat.l11 * dx[l] + shift;
+                        let alpha = (splat.opacity * (p * p + q2).exp_neg()).min(T::of(MAX_ALPHA));
+                        let before = transmittance[l];
+                        let after = before * (T::ONE - alpha);
+                        let seen = alpha >= threshold[l];
+                        let drawn = seen & (after > T::of(MIN_TRANSMITTANCE));
+                        threshold[l] = if seen & !drawn {
+                            T::of(DONE)
+                        } else {
+                            threshold[l]
+                        };
+                        transmittance[l] = if drawn { after } else { before };
+                        last[l] = if drawn { place + 1 } else { last[l] };
+                        weight[l] = if drawn { alpha * before } else { T::ZERO };
+                    }
+                    let blended = &mut self.blended[row * channels..][..channels];
+                    for (sum, value) in blended.iter_mut().zip(values.iter()) {
+                        add_scaled(sum, &weight, *value);
                     }
                 }
             }

@@ -3,8 +3,9 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::lanes::{Lanes, PerChannel, sum};
-use super::raster::{load_channels, offsets};
+use super::lanes::{Lanes, PerChannel, add_product, add_scaled, sum_lanes};
+use super::project::Splat;
+use super::raster::{BATCH, load_batch, load_channels, offsets};
 use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, Projection, RasterState, Real, TILE};
 
 /// Geometric sums in a partial gradient, before its channels. With s = ∂L/∂sigma per pixel:
@@ -30,10 +31,9 @@ pub(super) fn partial_gradients<T: Real>(
         rest = more;
     }
     let arch = Arch::new();
-    pieces
-        .into_par_iter()
-        .enumerate()
-        .for_each_init(Vec::new, |scratch, (tile, partial)| {
+    pieces.into_par_iter().enumerate().for_each_init(
+        Default::default,
+        |(scratch, batch), (tile, partial)| {
             if !partial.is_empty() {
                 arch.dispatch(UnblendTile {
                     projection,
@@ -43,9 +43,11 @@ pub(super) fn partial_gradients<T: Real>(
                     tile,
                     partial,
                     scratch,
+                    batch,
                 });
             }
-        });
+        },
+    );
     partial
 }
 
@@ -58,6 +60,7 @@ struct UnblendTile<'a, T> {
     partial: &'a mut [T],
     /// Output gradient of the tile: [rows, 5 + F] lanes; reused by the tiles of a thread.
     scratch: &'a mut Vec<Lanes<T>>,
+    batch: &'a mut Vec<Splat<T>>,
 }
 
 impl<T: Real> WithSimd for UnblendTile<'_, T> {
@@ -119,76 +122,64 @@ impl<T: Real> UnblendTile<'_, T> {
         let mut transmittance = self.state.transmittance[self.tile];
         let mut behind = [[T::ZERO; TILE]; TILE];
 
-        for place in (0..tile_last).rev() {
-            let gaussian = list[place] as usize;
-            let splat = &projection.splats[gaussian];
-            load_channels(
-                projection,
-                self.features,
-                self.state.num_features,
-                gaussian,
-                values,
-            );
-            sums.fill([T::ZERO; TILE]);
-            let mut geometric = [[T::ZERO; TILE]; GEOMETRIC];
-            let dx = offsets(left, splat.mean[0]);
-            let first = (splat.rows[0] as usize).saturating_sub(top);
-            let end = (splat.rows[1] as usize - top).min(TILE);
-            for row in first..end {
-                if row_last[row] as usize <= place {
-                    continue;
-                }
-                let dy = T::of((top + row) as f64 + 0.5) - splat.mean[1];
-                let shift = splat.l21 * dy;
-                let q = splat.l22 * dy;
-                let q2 = q * q;
-                let v_output = &self.scratch[row * (channels + 1)..][..channels + 1];
-                let mut dot = v_output[0];
-                for (v, value) in v_output[1..].iter().zip(values.iter()) {
+        for (k, batch_list) in list[..tile_last].chunks(BATCH).enumerate().rev() {
+            load_batch(projection, batch_list, self.batch);
+            for (place, splat) in self.batch.iter().enumerate().rev() {
+                let place = k * BATCH + place;
+                load_channels(splat, self.features, values);
+                sums.fill([T::ZERO; TILE]);
+                let mut geometric = [[T::ZERO; TILE]; GEOMETRIC];
+                let dx = offsets(left, splat.mean[0]);
+                let [from, to] = splat.rows.map(usize::from);
+                for row in from.saturating_sub(top)..(to - top).min(TILE) {
+                    if row_last[row] as usize <= place {
+                        continue;
+                    }
+                    let dy = T::of((top + row) as f64 + 0.5) - splat.mean[1];
+                    let shift = splat.l21 * dy;
+                    let q = splat.l22 * dy;
+                    let q2 = q * q;
+                    let v_output = &self.scratch[row * (channels + 1)..][..channels + 1];
+                    let mut dot = v_output[0];
+                    for (v, value) in v_output[1..].iter().zip(values.iter()) {
+                        add_scaled(&mut dot, v, *value);
+                    }
+                    let (last, transmittance, behind) =
+                        (&last[row], &mut transmittance[row], &mut behind[row]);
+                    let mut weight = [T::ZERO; TILE];
+                    let mut s = [T::ZERO; TILE];
+                    let mut p = [T::ZERO; TILE];
                     for l in 0..TILE {
-                        dot[l] += v[l] * *value;
+                        // The same operations as in the forward pass, so that the same pixels are drawn.
+                        p[l] = splat.l11 * dx[l] + shift;
+                        let raw = splat.opacity * (p[l] * p[l] + q2).exp_neg();
+                        let clamped = raw.min(T::of(MAX_ALPHA));
+                        let drawn = (clamped >= T::of(MIN_ALPHA)) & (last[l] > place as u32);
+                        let alpha = if drawn { clamped } else { T::ZERO };
+                        let inverse = T::ONE / (T::ONE - alpha);
+                        let before = transmittance[l] * inverse;
+                        transmittance[l] = before;
+                        weight[l] = alpha * before;
+                        let v_alpha = before * dot[l] - behind[l] * inverse;
+                        behind[l] += weight[l] * dot[l];
+                        // ∂alpha/∂sigma = -alpha, and 0 where alpha is clamped.
+                        let passes = drawn & (raw < T::of(MAX_ALPHA));
+                        s[l] = if passes { -(v_alpha * raw) } else { T::ZERO };
+                    }
+                    let sp: Lanes<T> = std::array::from_fn(|l| s[l] * p[l]);
+                    add_scaled(&mut geometric[0], &sp, T::ONE);
+                    add_product(&mut geometric[1], &sp, &p);
+                    add_scaled(&mut geometric[2], &sp, dy);
+                    add_scaled(&mut geometric[3], &s, dy);
+                    add_scaled(&mut geometric[4], &s, dy * dy);
+                    add_scaled(&mut geometric[5], &s, T::ONE);
+                    for (sum, v) in sums.iter_mut().zip(&v_output[1..]) {
+                        add_product(sum, &weight, v);
                     }
                 }
-                let (last, transmittance, behind) =
-                    (&last[row], &mut transmittance[row], &mut behind[row]);
-                let mut weight = [T::ZERO; TILE];
-                for l in 0..TILE {
-                    // The same operations as in the forward pass, so that the same pixels are drawn.
-                    let p = splat.l11 * dx[l] + shift;
-                    let raw = splat.opacity * (p * p + q2).exp_neg();
-                    let clamped = raw.min(T::of(MAX_ALPHA));
-                    let drawn = (clamped >= T::of(MIN_ALPHA)) & (last[l] > place as u32);
-                    let alpha = if drawn { clamped } else { T::ZERO };
-                    let inverse = T::ONE / (T::ONE - alpha);
-                    let before = transmittance[l] * inverse;
-                    transmittance[l] = before;
-                    weight[l] = alpha * before;
-                    let v_alpha = before * dot[l] - behind[l] * inverse;
-                    behind[l] += weight[l] * dot[l];
-                    // ∂alpha/∂sigma = -alpha, and 0 where alpha is clamped.
-                    let passes = drawn & (raw < T::of(MAX_ALPHA));
-                    let s = if passes { -(v_alpha * raw) } else { T::ZERO };
-                    let sp = s * p;
-                    let sdy = s * dy;
-                    geometric[0][l] += sp;
-                    geometric[1][l] += sp * p;
-                    geometric[2][l] += sp * dy;
-                    geometric[3][l] += sdy;
-                    geometric[4][l] += sdy * dy;
-                    geometric[5][l] += s;
-                }
-                for (sum, v) in sums.iter_mut().zip(&v_output[1..]) {
-                    for l in 0..TILE {
-                        sum[l] += weight[l] * v[l];
-                    }
-                }
-            }
-            let partial = &mut self.partial[place * width..][..width];
-            for k in 0..GEOMETRIC {
-                partial[k] = sum(geometric[k]);
-            }
-            for k in 0..channels {
-                partial[GEOMETRIC + k] = sum(sums[k]);
+                let partial = &mut self.partial[place * width..][..width];
+                sum_lanes(&geometric, &mut partial[..GEOMETRIC]);
+                sum_lanes(sums, &mut partial[GEOMETRIC..]);
             }
         }
     }

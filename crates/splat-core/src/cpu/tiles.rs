@@ -1,6 +1,6 @@
 //! Which Gaussians touch which tile, and where each pair's partial gradient lies.
 
-use super::project::Splat;
+use super::project::{Extent, Splat};
 use super::{Real, TILE};
 use crate::SplatError;
 
@@ -42,6 +42,7 @@ impl TileLists {
     /// Lists for Gaussians in depth order.
     pub(super) fn new<T: Real>(
         splats: &[Splat<T>],
+        extents: &[Extent<T>],
         width: usize,
         height: usize,
     ) -> Result<Self, SplatError> {
@@ -49,9 +50,9 @@ impl TileLists {
         let mut slot_starts = Vec::with_capacity(splats.len() + 1);
         let mut tiles: Vec<u32> = Vec::with_capacity(3 * splats.len());
         let mut tile_starts = vec![0_u32; across * down + 1];
-        for splat in splats {
+        for (splat, extent) in splats.iter().zip(extents) {
             slot_starts.push(tiles.len() as u32);
-            each_tile(splat, across, height, |tile| {
+            each_tile(splat, extent, across, |tile| {
                 tiles.push(tile);
                 tile_starts[tile as usize + 1] += 1;
             });
@@ -90,22 +91,28 @@ impl TileLists {
 /// Calls `visit` with every tile that has a pixel centre in the ellipse's bounding interval of its
 /// band of rows, in ascending order.
 #[inline]
-fn each_tile<T: Real>(splat: &Splat<T>, across: usize, height: usize, mut visit: impl FnMut(u32)) {
+fn each_tile<T: Real>(
+    splat: &Splat<T>,
+    extent: &Extent<T>,
+    across: usize,
+    mut visit: impl FnMut(u32),
+) {
     let half = T::of(0.5);
     let [mx, my] = splat.mean;
     // The slanted ellipse x(dy) = rho dy ± sqrt(sigma - q²) / l11: its rightmost point lies at
     // dy = tip, its leftmost at -tip, so over a band of rows the extreme is at the nearest dy.
     let rho = -splat.l21 / splat.l11;
-    let tip = rho * splat.half_height * splat.half_height / splat.half_width;
-    for band in splat.rows[0] as usize / TILE..(splat.rows[1] as usize).div_ceil(TILE) {
-        let first = (band * TILE).max(splat.rows[0] as usize);
-        let last = ((band + 1) * TILE).min(splat.rows[1] as usize).min(height) - 1;
+    let tip = rho * extent.half[1] * extent.half[1] / extent.half[0];
+    let [from, to] = splat.rows.map(usize::from);
+    for band in from / TILE..to.div_ceil(TILE) {
+        let first = (band * TILE).max(from);
+        let last = ((band + 1) * TILE).min(to) - 1;
         let low = T::of(first as f64) + half - my;
         let high = T::of(last as f64) + half - my;
         let side = |dy: T| {
             let dy = dy.max(low).min(high);
             let q = splat.l22 * dy;
-            let root = (splat.sigma_max - q * q).max(T::ZERO).sqrt() / splat.l11;
+            let root = (extent.sigma_max - q * q).max(T::ZERO).sqrt() / splat.l11;
             (rho * dy, root * T::of(1.001) + T::of(0.01))
         };
         let (right, right_root) = side(tip);
