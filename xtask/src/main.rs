@@ -12,7 +12,7 @@ use std::process::{Command, ExitCode};
 const HELP: &str = "\
 cargo xtask COMMAND
 
-  train [ARGS]   train a scene; without arguments, the demo in demo/limpid.toml
+  train [ARGS]   train a scene; without --scene and --config, the demo
                  (cargo xtask train --help lists the arguments)
   fmt            check the formatting
   clippy         lint; a warning is an error
@@ -70,8 +70,8 @@ fn main() -> ExitCode {
 
 /// The command that trains with `args`.
 ///
-/// A path in `args` means what it means to the user's shell: the folder stays as it is. Only the demo
-/// runs in the workspace's root, so that its results lie in `out/` there.
+/// A path in `args` means what it means to the user's shell: the folder stays as it is. Without a
+/// scene of their own, arguments are about the demo.
 fn train(args: &[OsString]) -> Command {
     let mut command = cargo();
     command.arg("run").arg("--manifest-path");
@@ -81,9 +81,15 @@ fn train(args: &[OsString]) -> Command {
         command.args(["--features", backend]);
     }
     command.args(["--", "train"]);
-    if args.is_empty() {
-        command.args(["--config", "demo/limpid.toml"]);
-        command.current_dir(root());
+    let names_scene = |arg: &OsString| {
+        arg.to_str().is_some_and(|arg| {
+            ["--scene", "--config", "--help", "-h"]
+                .iter()
+                .any(|flag| arg.split('=').next() == Some(flag))
+        })
+    };
+    if !args.iter().any(names_scene) {
+        command.arg("--config").arg(root().join("demo/limpid.toml"));
     }
     command.args(args);
     command

@@ -392,7 +392,8 @@ pub fn rasterize(
         check_dtype("screen_grad", screen.dtype(), prepared.dtype())?;
     }
     let job = RasterJob::new(prepared.clone(), feature_values, num_features)?;
-    let absent = splats.means.clone().detach().into_dispatch();
+    // Not `detach`, which keeps a leaf's wish for a gradient.
+    let absent = Tensor::from_inner(splats.means.clone().inner()).into_dispatch();
     let parents = Parents::<Dispatch> {
         means: splats.means.into_dispatch(),
         quats: splats.quats.into_dispatch(),

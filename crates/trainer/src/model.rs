@@ -182,7 +182,7 @@ impl Model {
     pub fn detached(&self) -> Self {
         let mut copy = self.clone();
         for (_, tensor) in copy.parameters_mut() {
-            *tensor = tensor.clone().detach();
+            *tensor = constant(tensor);
         }
         copy
     }
@@ -213,6 +213,11 @@ impl Model {
 /// The rows of a matrix with C columns.
 fn rows<const C: usize>(tensor: &Tensor<2>) -> Vec<[f32; C]> {
     host(tensor.clone()).as_chunks().0.to_vec()
+}
+
+/// The same values without a graph. (`detach` would not do: it keeps a leaf's wish for a gradient.)
+pub(crate) fn constant(tensor: &Tensor<2>) -> Tensor<2> {
+    Tensor::from_inner(tensor.clone().inner())
 }
 
 /// The values of a tensor on the host, as f32.

@@ -6,7 +6,7 @@ use crate::density::{
 };
 use crate::dynamics::densify;
 use crate::losses;
-use crate::model::host;
+use crate::model::{constant, host};
 use crate::optimizer::Rates;
 use crate::real::leaf;
 use crate::random::{Purpose, generator};
@@ -358,7 +358,7 @@ pub(crate) fn blur_inputs(rendered: &Rendered, scene_size: f64) -> BlurInputs {
 fn without_graph(net: &BpNet) -> BpNet {
     let mut net = net.clone();
     for (_, parameter) in net.parameters_mut() {
-        *parameter = parameter.clone().detach();
+        *parameter = constant(parameter);
     }
     net
 }
