@@ -15,6 +15,8 @@ mod raster;
 mod raster_backward;
 mod real;
 mod sh;
+#[cfg(test)]
+mod tests;
 mod tiles;
 mod types;
 
