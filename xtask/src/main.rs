@@ -176,32 +176,42 @@ mod tests {
         line.split_whitespace().map(OsString::from).collect()
     }
 
+    /// What cargo is told, with `ROOT` for the workspace's root.
     fn train_line(args: &str) -> String {
         let command = train(&words(args));
         let args: Vec<_> = command
             .get_args()
-            .skip(3)
             .map(OsStr::to_string_lossy)
+            .skip(3)
             .collect();
-        args.join(" ")
+        let root = root().to_str().expect("a path in UTF-8");
+        args.join(" ").replace(root, "ROOT")
     }
 
     #[test]
-    fn without_arguments_the_demo_is_trained() {
-        assert_eq!(
-            train_line(""),
-            "--package trainer --bin limpid -- train --config demo/limpid.toml",
-            "cargo's arguments"
-        );
+    fn without_a_scene_the_demo_is_trained() {
+        let demo = "--package trainer --bin limpid -- train --config ROOT/demo/limpid.toml";
+        assert_eq!(train_line(""), demo, "no arguments");
+        for args in ["--iterations 300", "--out o --force"] {
+            assert_eq!(train_line(args), format!("{demo} {args}"), "{args}");
+        }
     }
 
     #[test]
-    fn arguments_go_through_as_they_are() {
-        assert_eq!(
-            train_line("--scene a --set seed=1 --resume"),
-            "--package trainer --bin limpid -- train --scene a --set seed=1 --resume",
-            "cargo's arguments"
-        );
+    fn arguments_with_a_scene_go_through_as_they_are() {
+        for args in [
+            "--scene a --set seed=1 --resume",
+            "--scene=a",
+            "--config c.toml",
+            "--config=c.toml",
+            "--help",
+        ] {
+            assert_eq!(
+                train_line(args),
+                format!("--package trainer --bin limpid -- train {args}"),
+                "cargo's arguments"
+            );
+        }
     }
 
     #[test]
@@ -217,9 +227,10 @@ mod tests {
             assert_eq!(backend_feature(&words(args)), feature, "{args}");
         }
         assert!(
-            train_line("--backend wgpu").contains("--features wgpu -- train --backend wgpu"),
+            train_line("--backend wgpu --scene s")
+                .contains("--features wgpu -- train --backend wgpu"),
             "{}",
-            train_line("--backend wgpu")
+            train_line("--backend wgpu --scene s")
         );
     }
 }
