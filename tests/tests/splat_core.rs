@@ -1,0 +1,358 @@
+//! The splatting op on tensors: gradients through every input in f64, agreement with the slice
+//! kernels, errors, and what a render gives beside the image.
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use limpid_tests::{GradLimits, check_gradients, devices};
+use splat_core::cpu::{SplatSlices, View, project, rasterize as rasterize_slices};
+use splat_core::{Camera, RenderOptions, SplatError, Splats, prepare, rasterize, render};
+
+/// Numbers in [-1, 1) that look random and are the same everywhere.
+fn noise(count: usize, seed: u64) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) + 1;
+    (0..count)
+        .map(|_| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        })
+        .collect()
+}
+
+const N: usize = 5;
+const FEATURES: usize = 2;
+
+fn camera() -> Camera {
+    Camera::pinhole(19, 17, 20.0, 17.0, 8.5, 9.5)
+}
+
+/// Named inputs of a render as matrices, wide Gaussians in front of a slightly turned camera.
+fn inputs() -> Vec<(&'static str, [usize; 2], Vec<f64>)> {
+    let scaled = |count, seed, scale: f64, shift: f64| -> Vec<f64> {
+        noise(count, seed)
+            .iter()
+            .map(|v| v * scale + shift)
+            .collect()
+    };
+    let mut means = scaled(3 * N, 1, 0.8, 0.0);
+    means.iter_mut().skip(2).step_by(3).for_each(|z| *z += 3.0);
+    let mut left = scaled(9 * 2, 2, 0.2, 0.0);
+    (0..2).for_each(|f| (0..3).for_each(|k| left[9 * f + 4 * k] += 1.0));
+    let (s, c) = 0.1_f64.sin_cos();
+    let pose = vec![c, 0.0, s, 0.1, 0.0, 1.0, 0.0, -0.2, -s, 0.0, c, 0.3];
+    let mut sh = scaled(N * 48, 3, 0.1, 0.0);
+    sh.chunks_exact_mut(48)
+        .for_each(|row| row[..3].iter_mut().for_each(|v| *v += 1.0));
+    vec![
+        ("means", [N, 3], means),
+        ("quats", [N, 4], scaled(4 * N, 4, 1.3, 0.1)),
+        ("left_rotations", [2, 9], left),
+        ("log_scales", [N, 3], scaled(3 * N, 5, 0.2, -0.3)),
+        ("opacity_logits", [N, 1], scaled(N, 6, 1.0, 0.5)),
+        ("sh", [N, 48], sh),
+        ("cam_from_world", [3, 4], pose),
+        ("features", [N, FEATURES], noise(FEATURES * N, 7)),
+    ]
+}
+
+fn tensors(device: &Device, dtype: DType) -> Vec<Tensor<2>> {
+    inputs()
+        .into_iter()
+        .map(|(_, shape, values)| {
+            Tensor::from_data(TensorData::new(values, shape), (device, dtype))
+        })
+        .collect()
+}
+
+fn splats(t: &[Tensor<2>]) -> Splats {
+    Splats {
+        means: t[0].clone(),
+        quats: t[1].clone(),
+        left_rotations: Some(t[2].clone().reshape([2, 3, 3])),
+        log_scales: t[3].clone(),
+        opacity_logits: t[4].clone(),
+        sh: t[5].clone(),
+    }
+}
+
+fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+    tensor.into_data().iter::<f64>().collect()
+}
+
+const OPTIONS: RenderOptions = RenderOptions { sh_degree: 3 };
+
+#[test]
+fn every_input_has_the_gradient_of_central_differences() {
+    for (_, device) in devices() {
+        let weights = noise(19 * 17 * (5 + FEATURES), 8);
+        check_gradients(
+            &device,
+            &inputs(),
+            &[],
+            GradLimits {
+                element: 1e-6,
+                l2: 1e-6,
+                step: 1e-6,
+            },
+            |t| {
+                let rendered = render(
+                    splats(t),
+                    t[6].clone(),
+                    &camera(),
+                    &OPTIONS,
+                    Some(t[7].clone()),
+                    None,
+                )
+                .unwrap();
+                let output = rendered.output().clone();
+                let weights = Tensor::<3>::from_data(
+                    TensorData::new(weights.clone(), [17, 19, 5 + FEATURES]),
+                    (&output.device(), DType::F64),
+                );
+                (output * weights).sum()
+            },
+        );
+    }
+}
+
+#[test]
+fn slices_of_the_output_carry_gradients_too() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let t: Vec<_> = tensors(&device, DType::F64)
+            .into_iter()
+            .map(Tensor::require_grad)
+            .collect();
+        let gradient = |whole: bool| {
+            let rendered = render(
+                splats(&t),
+                t[6].clone(),
+                &camera(),
+                &OPTIONS,
+                Some(t[7].clone()),
+                None,
+            )
+            .unwrap();
+            let loss = if whole {
+                rendered.output().clone().sum()
+            } else {
+                rendered.color().sum()
+                    + rendered.alpha().sum()
+                    + rendered.depth().sum()
+                    + rendered.features().unwrap().sum()
+            };
+            let grads = loss.backward();
+            t.iter()
+                .flat_map(|t| values(t.grad(&grads).unwrap()))
+                .collect::<Vec<_>>()
+        };
+        for (a, b) in gradient(true).iter().zip(gradient(false)) {
+            assert!(
+                (a - b).abs() <= 1e-12 * a.abs().max(1.0),
+                "{name}: {a} and {b}"
+            );
+        }
+    }
+}
+
+#[test]
+fn tensors_and_slices_give_the_same_image() {
+    let inputs = inputs();
+    let slices = SplatSlices {
+        means: &inputs[0].2,
+        quats: &inputs[1].2,
+        left_rotations: &inputs[2].2,
+        log_scales: &inputs[3].2,
+        opacity_logits: &inputs[4].2,
+        sh: &inputs[5].2,
+    };
+    let view = View {
+        camera: camera(),
+        cam_from_world: std::array::from_fn(|k| inputs[6].2[k]),
+        sh_degree: 3,
+    };
+    let projection = project(&slices, &view).unwrap();
+    let expected = rasterize_slices(&projection, &inputs[7].2, FEATURES)
+        .unwrap()
+        .output;
+    for (name, device) in devices() {
+        for device in [device.clone(), device.autodiff()] {
+            let t = tensors(&device, DType::F64);
+            let rendered = render(
+                splats(&t),
+                t[6].clone(),
+                &camera(),
+                &OPTIONS,
+                Some(t[7].clone()),
+                None,
+            )
+            .unwrap();
+            assert_eq!(values(rendered.output().clone()), expected, "{name}");
+            assert_eq!(rendered.radii(), projection.radii(), "{name}");
+            assert_eq!(rendered.num_visible(), N, "{name}");
+            assert_eq!(rendered.color().dims(), [17, 19, 3], "{name}");
+            assert_eq!(rendered.alpha().dims(), [17, 19], "{name}");
+            let depth: Vec<f64> = expected.chunks_exact(7).map(|p| p[4]).collect();
+            assert_eq!(values(rendered.depth()), depth, "{name}");
+            let features: Vec<f64> = expected
+                .chunks_exact(7)
+                .flat_map(|p| p[5..].to_vec())
+                .collect();
+            assert_eq!(values(rendered.features().unwrap()), features, "{name}");
+        }
+    }
+}
+
+#[test]
+fn layouts_that_are_not_contiguous_are_read_in_order() {
+    for (name, device) in devices() {
+        let t = tensors(&device, DType::F32);
+        let image = |t: &[Tensor<2>]| {
+            let features = Some(t[7].clone());
+            values(
+                render(splats(t), t[6].clone(), &camera(), &OPTIONS, features, None)
+                    .unwrap()
+                    .output()
+                    .clone(),
+            )
+        };
+        let turned: Vec<_> = t
+            .iter()
+            .map(|t| Tensor::<2>::from_data(t.clone().transpose().into_data(), &device).transpose())
+            .collect();
+        assert_eq!(image(&t), image(&turned), "{name}: transposed views");
+        let parts: Vec<_> = t
+            .iter()
+            .map(|t| {
+                let [rows, columns] = t.dims();
+                Tensor::cat(vec![t.clone(), t.clone().neg()], 0).slice([0..rows, 0..columns])
+            })
+            .collect();
+        assert_eq!(image(&t), image(&parts), "{name}: slices of larger tensors");
+    }
+}
+
+#[test]
+fn untracked_inputs_get_no_gradient_and_the_screen_statistic_arrives() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let mut t = tensors(&device, DType::F32);
+        t[0] = t[0].clone().require_grad();
+        let screen = Tensor::<1>::zeros([N], (&device, DType::F32)).require_grad();
+        let prepared = prepare(&splats(&t), &t[6], &camera(), &OPTIONS).unwrap();
+        let rendered = rasterize(
+            &prepared,
+            splats(&t),
+            t[6].clone(),
+            None,
+            Some(screen.clone()),
+        )
+        .unwrap();
+        let grads = rendered.color().sum().backward();
+        assert!(t[0].grad(&grads).is_some(), "{name}: means");
+        for k in [1, 2, 3, 4, 5, 6] {
+            assert!(t[k].grad(&grads).is_none(), "{name}: input {k}");
+        }
+        let screen = values(screen.grad(&grads).unwrap());
+        assert!(
+            screen.len() == N && screen.iter().all(|v| *v > 0.0),
+            "{name}: {screen:?}"
+        );
+    }
+}
+
+#[test]
+fn no_gaussian_and_one_pixel_render() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let empty =
+            |columns: usize| Tensor::<2>::zeros([0, columns], (&device, DType::F32)).require_grad();
+        let none = Splats {
+            means: empty(3),
+            quats: empty(4),
+            left_rotations: None,
+            log_scales: empty(3),
+            opacity_logits: empty(1),
+            sh: empty(48),
+        };
+        let pose = tensors(&device, DType::F32)[6].clone().require_grad();
+        let rendered = render(none, pose.clone(), &camera(), &OPTIONS, None, None).unwrap();
+        assert!(
+            values(rendered.output().clone()).iter().all(|v| *v == 0.0),
+            "{name}"
+        );
+        let grads = rendered.color().sum().backward();
+        assert_eq!(values(pose.grad(&grads).unwrap()), vec![0.0; 12], "{name}");
+
+        let t = tensors(&device, DType::F32);
+        let pixel = Camera::pinhole(1, 1, 1.0, 1.0, 0.5, 0.5);
+        let rendered = render(splats(&t), t[6].clone(), &pixel, &OPTIONS, None, None).unwrap();
+        assert_eq!(rendered.output().dims(), [1, 1, 5], "{name}");
+        assert!(values(rendered.alpha())[0] > 0.0, "{name}");
+    }
+}
+
+#[test]
+fn bad_inputs_are_errors_that_say_which() {
+    for (name, device) in devices() {
+        let t = tensors(&device, DType::F32);
+        let fails = |splats: Splats, pose: &Tensor<2>, options: &RenderOptions| {
+            prepare(&splats, pose, &camera(), options).unwrap_err()
+        };
+
+        let mut bad = splats(&t);
+        let mut v = values(bad.log_scales.clone());
+        v[3 * 3 + 1] = f64::NAN;
+        bad.log_scales = Tensor::from_data(TensorData::new(v, [N, 3]), (&device, DType::F32));
+        let expected = SplatError::NotFinite {
+            tensor: "log_scales",
+            row: 3,
+        };
+        assert_eq!(fails(bad, &t[6], &OPTIONS), expected, "{name}");
+
+        let mut bad = splats(&t);
+        bad.quats = t[3].clone();
+        let message = fails(bad, &t[6], &OPTIONS).to_string();
+        assert!(
+            message.contains("quats") && message.contains("[5, 4]"),
+            "{name}: {message}"
+        );
+
+        let mut bad = splats(&t);
+        bad.sh = t[5].clone().slice([0..N, 0..12]);
+        let expected = SplatError::ShDegree {
+            active: 3,
+            stored: 1,
+        };
+        assert_eq!(fails(bad, &t[6], &OPTIONS), expected, "{name}");
+
+        let message = fails(splats(&t), &t[0], &OPTIONS).to_string();
+        assert!(message.contains("cam_from_world"), "{name}: {message}");
+
+        let mut bad = splats(&t);
+        bad.means = bad.means.cast(DType::F64);
+        let message = fails(bad, &t[6], &OPTIONS).to_string();
+        assert!(
+            message.contains("F64") && message.contains("F32"),
+            "{name}: {message}"
+        );
+
+        let prepared = prepare(&splats(&t), &t[6], &camera(), &OPTIONS).unwrap();
+        let features = t[7].clone().slice([0..N - 1, 0..FEATURES]);
+        let error = rasterize(&prepared, splats(&t), t[6].clone(), Some(features), None);
+        let message = error.unwrap_err().to_string();
+        assert!(message.contains("features"), "{name}: {message}");
+        let features = t[7].clone() / 0.0;
+        let error = rasterize(&prepared, splats(&t), t[6].clone(), Some(features), None);
+        assert!(
+            matches!(
+                error,
+                Err(SplatError::NotFinite {
+                    tensor: "features",
+                    row: 0
+                })
+            ),
+            "{name}: {error:?}"
+        );
+    }
+}
