@@ -27,14 +27,19 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 }
 
 fn gaussians(rng: &mut ChaCha8Rng, focal: f64) -> Gaussians {
-    let mut g = Gaussians { sh_degree: 3, ..Gaussians::default() };
+    let mut g = Gaussians {
+        sh_degree: 3,
+        ..Gaussians::default()
+    };
     for _ in 0..COUNT {
         let z = 2.0 + 6.0 * uniform(rng);
         let x = (uniform(rng) - 0.5) * 1.1 * WIDTH as f64 * z / focal;
         let y = (uniform(rng) - 0.5) * 1.1 * HEIGHT as f64 * z / focal;
         let size = 1.3 * z / focal * (0.4 * normal(rng)).exp();
         g.means.push([x, y, z].map(|v| v as f32));
-        g.log_scales.push(std::array::from_fn(|_| (size.ln() + 0.3 * normal(rng)) as f32));
+        g.log_scales.push(std::array::from_fn(|_| {
+            (size.ln() + 0.3 * normal(rng)) as f32
+        }));
         g.quats.push(std::array::from_fn(|_| normal(rng) as f32));
         g.opacity_logits.push(2.0 * normal(rng) as f32);
         g.sh.extend((0..48).map(|k| (normal(rng) * if k < 3 { 0.5 } else { 0.05 }) as f32));
@@ -45,15 +50,28 @@ fn gaussians(rng: &mut ChaCha8Rng, focal: f64) -> Gaussians {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let focal = WIDTH as f64 * 30.0 / 36.0;
-    let camera = Camera::pinhole(WIDTH, HEIGHT, focal, focal, WIDTH as f64 / 2.0, HEIGHT as f64 / 2.0);
-    let pixels = (0..WIDTH * HEIGHT * 3).map(|_| uniform(&mut rng) as f32).collect();
+    let camera = Camera::pinhole(
+        WIDTH,
+        HEIGHT,
+        focal,
+        focal,
+        WIDTH as f64 / 2.0,
+        HEIGHT as f64 / 2.0,
+    );
+    let pixels = (0..WIDTH * HEIGHT * 3)
+        .map(|_| uniform(&mut rng) as f32)
+        .collect();
     let frame = Frame {
         view: View {
             name: "noise".to_owned(),
             camera,
             cam_from_world: DAffine3::IDENTITY,
             time: 0.0,
-            image: Image { width: WIDTH, height: HEIGHT, pixels },
+            image: Image {
+                width: WIDTH,
+                height: HEIGHT,
+                pixels,
+            },
         },
         depth: None,
         mask: None,
@@ -65,12 +83,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         downscale: 1,
         frames: vec![frame],
         test: Vec::new(),
-        points: vec![SparsePoint { position: glam::DVec3::Z * 5.0, color: [0.5; 3] }],
+        points: vec![SparsePoint {
+            position: glam::DVec3::Z * 5.0,
+            color: [0.5; 3],
+        }],
         tracks: None,
         notes: Vec::new(),
     };
     // All SH degrees from the first iteration on, density control and blur off: the same work every time.
-    let mut settings = Settings { iterations: 200, ..Settings::default() };
+    let mut settings = Settings {
+        iterations: 200,
+        ..Settings::default()
+    };
     settings.blur.enabled = false;
     settings.gaussians.sh_degree_every = 1;
     settings.gaussians.control_from = 40_000;

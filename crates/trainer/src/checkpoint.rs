@@ -51,19 +51,28 @@ impl Trainer {
     /// The file cannot be written; one that was there before is unharmed then.
     pub fn save(&self, folder: &Path) -> Result<(), TrainError> {
         let path = folder.join(FILE_NAME);
-        let fail = |problem: String| TrainError::Checkpoint { path: path.clone(), problem };
+        let fail = |problem: String| TrainError::Checkpoint {
+            path: path.clone(),
+            problem,
+        };
         let mut tensors: Vec<(String, Tensor<2>)> = self.model.parameters();
         for (name, state) in &self.optimizer.states {
             tensors.push((format!("adam.1.{name}"), state.moment1.clone()));
             tensors.push((format!("adam.2.{name}"), state.moment2.clone()));
         }
         tensors.push(("gauge".to_owned(), self.gauge.to_tensor(&self.device)));
-        let mut buffers: Vec<(String, Vec<usize>, Vec<f32>)> =
-            tensors.into_iter().map(|(name, t)| (name, t.dims().to_vec(), host(t))).collect();
+        let mut buffers: Vec<(String, Vec<usize>, Vec<f32>)> = tensors
+            .into_iter()
+            .map(|(name, t)| (name, t.dims().to_vec(), host(t)))
+            .collect();
         let rows = vec![self.density.count.len()];
         // Counts stay far below 2^24, where f32 is exact.
         let counts = self.density.count.iter().map(|&c| c as f32).collect();
-        buffers.push(("density.grad_sum".to_owned(), rows.clone(), self.density.grad_sum.clone()));
+        buffers.push((
+            "density.grad_sum".to_owned(),
+            rows.clone(),
+            self.density.grad_sum.clone(),
+        ));
         buffers.push(("density.count".to_owned(), rows, counts));
 
         let header = Header {
@@ -75,13 +84,19 @@ impl Trainer {
             num_dynamic: self.model.num_dynamic,
             has_motion: self.model.motion.is_some(),
             has_blur: self.model.blur.is_some(),
-            adam_steps: self.optimizer.states.iter().map(|(name, s)| (name.clone(), s.steps)).collect(),
+            adam_steps: self
+                .optimizer
+                .states
+                .iter()
+                .map(|(name, s)| (name.clone(), s.steps))
+                .collect(),
         };
         let header = serde_json::to_string(&header).map_err(|e| fail(e.to_string()))?;
         let views = buffers
             .iter()
             .map(|(name, shape, values)| {
-                TensorView::new(Dtype::F32, shape.clone(), bytemuck::cast_slice(values)).map(|v| (name.as_str(), v))
+                TensorView::new(Dtype::F32, shape.clone(), bytemuck::cast_slice(values))
+                    .map(|v| (name.as_str(), v))
             })
             .collect::<Result<Vec<_>, _>>()
             .map_err(|e| fail(e.to_string()))?;
@@ -108,7 +123,10 @@ impl Trainer {
         let path = folder.join(FILE_NAME);
         let bytes = read(&path)?;
         let header = header(&path, &bytes)?;
-        let fail = |problem: String| TrainError::Checkpoint { path: path.clone(), problem };
+        let fail = |problem: String| TrainError::Checkpoint {
+            path: path.clone(),
+            problem,
+        };
         if scene.frames.len() != header.num_frames {
             return Err(fail(format!(
                 "it was trained on {} frames and the scene has {}; give the scene (and --downscale, --images) of the run",
@@ -128,16 +146,25 @@ impl Trainer {
         let device = device.clone().autodiff();
         let file = SafeTensors::deserialize(&bytes).map_err(|e| fail(e.to_string()))?;
         let values = |name: &str| -> Result<(Vec<f32>, Vec<usize>), TrainError> {
-            let view = file.tensor(name).map_err(|_| fail(format!("tensor {name} is missing; it is not whole")))?;
+            let view = file
+                .tensor(name)
+                .map_err(|_| fail(format!("tensor {name} is missing; it is not whole")))?;
             if view.dtype() != Dtype::F32 {
-                return Err(fail(format!("tensor {name} is {:?} and should be F32", view.dtype())));
+                return Err(fail(format!(
+                    "tensor {name} is {:?} and should be F32",
+                    view.dtype()
+                )));
             }
-            Ok((bytemuck::pod_collect_to_vec(view.data()), view.shape().to_vec()))
+            Ok((
+                bytemuck::pod_collect_to_vec(view.data()),
+                view.shape().to_vec(),
+            ))
         };
         let matrix = |name: &str, device: &Device| -> Result<Tensor<2>, TrainError> {
             let (values, shape) = values(name)?;
-            let shape: [usize; 2] =
-                shape.try_into().map_err(|s| fail(format!("tensor {name} has shape {s:?}, not two axes")))?;
+            let shape: [usize; 2] = shape
+                .try_into()
+                .map_err(|s| fail(format!("tensor {name} has shape {s:?}, not two axes")))?;
             Ok(tensor(values, shape, device))
         };
         let leaf = |name: &str| matrix(name, &device).map(Tensor::require_grad);
@@ -160,7 +187,11 @@ impl Trainer {
             for (name, parameter) in net.parameters_mut() {
                 let read = leaf(&format!("blur.{name}"))?;
                 if read.dims() != parameter.dims() {
-                    return Err(fail(format!("blur.{name} is {:?} and should be {:?}", read.dims(), parameter.dims())));
+                    return Err(fail(format!(
+                        "blur.{name} is {:?} and should be {:?}",
+                        read.dims(),
+                        parameter.dims()
+                    )));
                 }
                 *parameter = read;
             }
@@ -188,24 +219,43 @@ impl Trainer {
             optimizer.states.insert(name.clone(), state);
         }
         for (name, parameter) in model.parameters() {
-            let Some(state) = optimizer.states.get(&name) else { continue };
-            if state.moment1.dims() != parameter.dims() || state.moment2.dims() != parameter.dims() {
-                return Err(fail(format!("the moments of {name} do not have its shape {:?}", parameter.dims())));
+            let Some(state) = optimizer.states.get(&name) else {
+                continue;
+            };
+            if state.moment1.dims() != parameter.dims() || state.moment2.dims() != parameter.dims()
+            {
+                return Err(fail(format!(
+                    "the moments of {name} do not have its shape {:?}",
+                    parameter.dims()
+                )));
             }
         }
         let (grad_sum, _) = values("density.grad_sum")?;
-        let count: Vec<u32> = values("density.count")?.0.into_iter().map(|c| c as u32).collect();
+        let count: Vec<u32> = values("density.count")?
+            .0
+            .into_iter()
+            .map(|c| c as u32)
+            .collect();
         if grad_sum.len() != model.num_gaussians() || count.len() != model.num_gaussians() {
-            return Err(fail("the density statistics do not fit the Gaussians".to_owned()));
+            return Err(fail(
+                "the density statistics do not fit the Gaussians".to_owned(),
+            ));
         }
         let cells = header.settings.blur.gauge_cells;
         let table = matrix("gauge", &inner)?;
         if table.dims() != [header.num_frames, 1 + 2 * cells[0] * cells[1]] {
-            return Err(fail(format!("the gauge's table has shape {:?}", table.dims())));
+            return Err(fail(format!(
+                "the gauge's table has shape {:?}",
+                table.dims()
+            )));
         }
         let near = header.settings.gaussians.near * header.survey.scene_size;
         let unseen = make_unseen(&scene, &header.settings, &header.survey, near)?;
-        let modelled = Modelled { motion: header.has_motion, blur: header.has_blur, unseen: !unseen.is_empty() };
+        let modelled = Modelled {
+            motion: header.has_motion,
+            blur: header.has_blur,
+            unseen: !unseen.is_empty(),
+        };
         Ok(Self {
             schedule: Schedule::new(&header.settings, header.num_frames, modelled),
             settings: header.settings,
@@ -223,18 +273,28 @@ impl Trainer {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, TrainError> {
-    std::fs::read(path).map_err(|e| TrainError::Checkpoint { path: path.to_owned(), problem: e.to_string() })
+    std::fs::read(path).map_err(|e| TrainError::Checkpoint {
+        path: path.to_owned(),
+        problem: e.to_string(),
+    })
 }
 
 fn header(path: &Path, bytes: &[u8]) -> Result<Header, TrainError> {
-    let fail = |problem: String| TrainError::Checkpoint { path: path.to_owned(), problem };
-    let (_, metadata) =
-        SafeTensors::read_metadata(bytes).map_err(|e| fail(format!("it is not a whole safetensors file ({e})")))?;
+    let fail = |problem: String| TrainError::Checkpoint {
+        path: path.to_owned(),
+        problem,
+    };
+    let (_, metadata) = SafeTensors::read_metadata(bytes)
+        .map_err(|e| fail(format!("it is not a whole safetensors file ({e})")))?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get("limpid"));
     let text = text.ok_or_else(|| fail("it is no checkpoint of limpid".to_owned()))?;
-    let format = serde_json::from_str::<serde_json::Value>(text).ok().and_then(|v| v.get("format")?.as_u64());
+    let format = serde_json::from_str::<serde_json::Value>(text)
+        .ok()
+        .and_then(|v| v.get("format")?.as_u64());
     if format != Some(u64::from(FORMAT)) {
-        return Err(fail(format!("its format is {format:?}; this version reads {FORMAT}")));
+        return Err(fail(format!(
+            "its format is {format:?}; this version reads {FORMAT}"
+        )));
     }
     serde_json::from_str(text).map_err(|e| fail(format!("its header does not parse ({e})")))
 }
@@ -252,7 +312,10 @@ fn check_shapes(model: &Model, header: &Header) -> Result<(), String> {
     ];
     for (name, tensor, shape) in expected {
         if tensor.dims() != shape {
-            return Err(format!("{name} is {:?} and should be {shape:?}", tensor.dims()));
+            return Err(format!(
+                "{name} is {:?} and should be {shape:?}",
+                tensor.dims()
+            ));
         }
     }
     if model.num_dynamic > n {
@@ -261,13 +324,28 @@ fn check_shapes(model: &Model, header: &Header) -> Result<(), String> {
     if let Some(motion) = &model.motion {
         let bases = motion.bases.rots.dims()[0];
         let expected = [
-            ("motion.rots", &motion.bases.rots, [bases, 6 * header.num_frames]),
-            ("motion.transls", &motion.bases.transls, [bases, 3 * header.num_frames]),
-            ("motion.coefficients", &motion.coefficients, [model.num_dynamic, bases]),
+            (
+                "motion.rots",
+                &motion.bases.rots,
+                [bases, 6 * header.num_frames],
+            ),
+            (
+                "motion.transls",
+                &motion.bases.transls,
+                [bases, 3 * header.num_frames],
+            ),
+            (
+                "motion.coefficients",
+                &motion.coefficients,
+                [model.num_dynamic, bases],
+            ),
         ];
         for (name, tensor, shape) in expected {
             if tensor.dims() != shape {
-                return Err(format!("{name} is {:?} and should be {shape:?}", tensor.dims()));
+                return Err(format!(
+                    "{name} is {:?} and should be {shape:?}",
+                    tensor.dims()
+                ));
             }
         }
     }

@@ -8,8 +8,8 @@ use crate::model::{GaussianTensors, Model, MotionModel, host};
 use crate::neighbors::{Neighbors, mean_neighbor_distances};
 use crate::optimizer::Optimizer;
 use crate::placement::{Seeds, depth_edges, lift, pixel_color};
-use crate::real::leaf;
 use crate::random::{Purpose, derived_seed, generator, sample};
+use crate::real::leaf;
 use crate::settings::Settings;
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DMat3, DVec3};
@@ -40,14 +40,30 @@ pub(crate) fn start_dynamics(
         return Ok(None);
     }
     let seed = derived_seed(settings.seed, Purpose::Motion);
-    let init = initialize(&tracks, &InitOptions { num_bases: settings.motion.num_bases, seed })?;
-    let (kept, frames, bases) = (init.tracks.colors.len(), init.tracks.num_frames, init.num_bases);
+    let init = initialize(
+        &tracks,
+        &InitOptions {
+            num_bases: settings.motion.num_bases,
+            seed,
+        },
+    )?;
+    let (kept, frames, bases) = (
+        init.tracks.colors.len(),
+        init.tracks.num_frames,
+        init.num_bases,
+    );
     let cameras: Vec<FitCamera> = scene
         .frames
         .iter()
         .map(|f| {
             let c = &f.view.camera;
-            FitCamera { cam_from_world: f.view.cam_from_world, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy }
+            FitCamera {
+                cam_from_world: f.view.cam_from_world,
+                fx: c.fx,
+                fy: c.fy,
+                cx: c.cx,
+                cy: c.cy,
+            }
         })
         .collect();
 
@@ -55,16 +71,28 @@ pub(crate) fn start_dynamics(
         Tensor::<2>::from_data(TensorData::new(values, shape), (device, dtype)).require_grad()
     };
     let canonical = init.canonical_frame;
-    let at_canonical: Vec<DVec3> = (0..kept).map(|p| init.tracks.positions[p * frames + canonical]).collect();
+    let at_canonical: Vec<DVec3> = (0..kept)
+        .map(|p| init.tracks.positions[p * frames + canonical])
+        .collect();
     let mut rots = start(init.rots.clone(), [bases, frames * 6]);
     let mut transls = start(init.transls.clone(), [bases, frames * 3]);
-    let mut coefficients = start(init.coefficients.iter().map(|&c| f64::from(c)).collect(), [kept, bases]);
-    let mut means = start(at_canonical.iter().flat_map(|m| m.to_array()).collect(), [kept, 3]);
+    let mut coefficients = start(
+        init.coefficients.iter().map(|&c| f64::from(c)).collect(),
+        [kept, bases],
+    );
+    let mut means = start(
+        at_canonical.iter().flat_map(|m| m.to_array()).collect(),
+        [kept, 3],
+    );
     let data = FitData::new(&init, &cameras, device, dtype)?;
     let mut optimizer = Optimizer::default();
     let steps = settings.motion.first_fit_steps;
     for step in 0..steps {
-        let motion = MotionBases { rots: rots.clone(), transls: transls.clone(), num_frames: frames };
+        let motion = MotionBases {
+            rots: rots.clone(),
+            transls: transls.clone(),
+            num_frames: frames,
+        };
         let loss = fit_loss(&motion, &coefficients, &means, &data, step, steps);
         let mut grads = loss.backward();
         let decay = 0.1_f64.powf(step as f64 / steps as f64);
@@ -76,22 +104,46 @@ pub(crate) fn start_dynamics(
         ];
         for (name, parameter, rate) in groups {
             let rate = LearningRate::Uniform(rate * decay);
-            optimizer.step(name, parameter, &mut grads, &rate).map_err(|problem| TrainError::FirstFit { step, name, problem })?;
+            optimizer
+                .step(name, parameter, &mut grads, &rate)
+                .map_err(|problem| TrainError::FirstFit {
+                    step,
+                    name,
+                    problem,
+                })?;
         }
     }
 
-    let visible: Vec<usize> = (0..kept).filter(|p| init.tracks.visible[p * frames + canonical]).collect();
-    let chosen = if visible.len() >= MIN_VISIBLE { visible } else { (0..kept).collect() };
+    let visible: Vec<usize> = (0..kept)
+        .filter(|p| init.tracks.visible[p * frames + canonical])
+        .collect();
+    let chosen = if visible.len() >= MIN_VISIBLE {
+        visible
+    } else {
+        (0..kept).collect()
+    };
     let fitted = host(means);
     let means: Vec<DVec3> = chosen
         .iter()
-        .map(|&p| DVec3::new(fitted[3 * p].into(), fitted[3 * p + 1].into(), fitted[3 * p + 2].into()))
+        .map(|&p| {
+            DVec3::new(
+                fitted[3 * p].into(),
+                fitted[3 * p + 1].into(),
+                fitted[3 * p + 2].into(),
+            )
+        })
         .collect();
     let scales = clamped_scales(&means);
     let colors = chosen.iter().map(|&p| init.tracks.colors[p]).collect();
-    let note = format!("{kept} tracks, {bases} motion bases, canonical frame {canonical}, {} dynamic Gaussians", chosen.len());
+    let note = format!(
+        "{kept} tracks, {bases} motion bases, canonical frame {canonical}, {} dynamic Gaussians",
+        chosen.len()
+    );
     let rows: Vec<i64> = chosen.iter().map(|&p| p as i64).collect();
-    let rows = Tensor::<1, Int>::from_data(TensorData::new(rows, [chosen.len()]), &device.clone().inner());
+    let rows = Tensor::<1, Int>::from_data(
+        TensorData::new(rows, [chosen.len()]),
+        &device.clone().inner(),
+    );
     let motion = MotionModel {
         bases: MotionBases {
             rots,
@@ -100,7 +152,15 @@ pub(crate) fn start_dynamics(
         },
         coefficients: leaf(coefficients.inner().select(0, rows), true),
     };
-    Ok(Some(DynamicStart { seeds: Seeds { means, colors, scales }, motion, note }))
+    Ok(Some(DynamicStart {
+        seeds: Seeds {
+            means,
+            colors,
+            scales,
+        },
+        motion,
+        note,
+    }))
 }
 
 /// Mean distance to the three nearest neighbours, clamped to its own 5 % and 95 % quantiles.
@@ -108,9 +168,14 @@ fn clamped_scales(means: &[DVec3]) -> Vec<f64> {
     let distances = mean_neighbor_distances(means);
     let mut sorted = distances.clone();
     sorted.sort_unstable_by(f64::total_cmp);
-    let Some(last) = sorted.len().checked_sub(1) else { return distances };
+    let Some(last) = sorted.len().checked_sub(1) else {
+        return distances;
+    };
     let quantile = |q: f64| sorted[(q * last as f64) as usize];
-    distances.iter().map(|d| d.clamp(quantile(0.05), quantile(0.95))).collect()
+    distances
+        .iter()
+        .map(|d| d.clamp(quantile(0.05), quantile(0.95)))
+        .collect()
 }
 
 /// New dynamic Gaussians, to be inserted behind the existing ones.
@@ -125,17 +190,32 @@ pub(crate) struct NewDynamic {
 ///
 /// At most `room` Gaussians come in all. A frame adds at most `densify_per_frame`, and all frames together two for each pixel of
 /// the largest mask (as many as static Gaussians start with), so that a small mover is not buried in copies of itself.
-pub(crate) fn densify(model: &Model, scene: &Scene, settings: &Settings, room: usize, device: &Device) -> Option<NewDynamic> {
+pub(crate) fn densify(
+    model: &Model,
+    scene: &Scene,
+    settings: &Settings,
+    room: usize,
+    device: &Device,
+) -> Option<NewDynamic> {
     let model = model.detached();
     let motion = model.motion.as_ref()?;
-    let pixels: Vec<Vec<usize>> = scene.frames.iter().map(|f| dynamic_pixels(f, settings)).collect();
+    let pixels: Vec<Vec<usize>> = scene
+        .frames
+        .iter()
+        .map(|f| dynamic_pixels(f, settings))
+        .collect();
     let largest = pixels.iter().map(Vec::len).max().unwrap_or(0);
     let frames = scene.frames.len();
-    let share = (2 * largest).div_ceil(frames).min(settings.motion.densify_per_frame).min(room / frames);
+    let share = (2 * largest)
+        .div_ceil(frames)
+        .min(settings.motion.densify_per_frame)
+        .min(room / frames);
     let (mut means, mut colors, mut parents) = (Vec::new(), Vec::new(), Vec::new());
     for (index, (frame, candidates)) in scene.frames.iter().zip(&pixels).enumerate() {
         let Some(depth) = &frame.depth else { continue };
-        let at = motion.bases.motion_at(&motion.coefficients, frame.view.time);
+        let at = motion
+            .bases
+            .motion_at(&motion.coefficients, frame.view.time);
         let posed: Vec<DVec3> = to_points(&host(at.transform_means(&model.dynamic_means())));
         let (rotations, translations) = (host(at.rotations), to_points(&host(at.translations)));
         let tree = Neighbors::new(&posed)?;
@@ -144,7 +224,10 @@ pub(crate) fn densify(model: &Model, scene: &Scene, settings: &Settings, room: u
             let i = candidates[j];
             let world = lift(frame, i, f64::from(depth.values[i]));
             let parent = tree.nearest(world);
-            let r: Vec<f64> = rotations[9 * parent..9 * parent + 9].iter().map(|&v| f64::from(v)).collect();
+            let r: Vec<f64> = rotations[9 * parent..9 * parent + 9]
+                .iter()
+                .map(|&v| f64::from(v))
+                .collect();
             // Rows of the row-major rotation are the columns of its inverse.
             let inverse = DMat3::from_cols_slice(&r);
             means.push(inverse * (world - translations[parent]));
@@ -159,7 +242,11 @@ pub(crate) fn densify(model: &Model, scene: &Scene, settings: &Settings, room: u
     let existing = all.len();
     all.extend(&means);
     let scales = clamped_scales(&all).split_off(existing);
-    let seeds = Seeds { means, colors, scales };
+    let seeds = Seeds {
+        means,
+        colors,
+        scales,
+    };
     Some(NewDynamic {
         gaussians: GaussianTensors::new(
             &seeds,
@@ -174,11 +261,18 @@ pub(crate) fn densify(model: &Model, scene: &Scene, settings: &Settings, room: u
 
 /// Pixels that certainly show a mover: inside the mask, with depth, off depth edges.
 fn dynamic_pixels(frame: &io::Frame, settings: &Settings) -> Vec<usize> {
-    let (Some(depth), Some(mask)) = (&frame.depth, &frame.mask) else { return Vec::new() };
+    let (Some(depth), Some(mask)) = (&frame.depth, &frame.mask) else {
+        return Vec::new();
+    };
     let edge = depth_edges(depth, settings.gaussians.depth_edge);
-    (0..mask.values.len()).filter(|&i| mask.values[i] > 0.5 && depth.values[i] > 0.0 && !edge[i]).collect()
+    (0..mask.values.len())
+        .filter(|&i| mask.values[i] > 0.5 && depth.values[i] > 0.0 && !edge[i])
+        .collect()
 }
 
 fn to_points(values: &[f32]) -> Vec<DVec3> {
-    values.chunks_exact(3).map(|c| DVec3::new(c[0].into(), c[1].into(), c[2].into())).collect()
+    values
+        .chunks_exact(3)
+        .map(|c| DVec3::new(c[0].into(), c[1].into(), c[2].into()))
+        .collect()
 }

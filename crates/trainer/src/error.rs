@@ -70,7 +70,9 @@ pub enum TrainError {
         problem: crate::adam::NonFiniteGradient,
     },
     /// The first fit of the motion bases diverged.
-    #[error("first fit of the motion bases, step {step}: the gradient of {name} is not finite ({problem}); check the tracks and the depth")]
+    #[error(
+        "first fit of the motion bases, step {step}: the gradient of {name} is not finite ({problem}); check the tracks and the depth"
+    )]
     FirstFit {
         /// Step of the fit.
         step: usize,
@@ -80,7 +82,9 @@ pub enum TrainError {
         problem: crate::adam::NonFiniteGradient,
     },
     /// All iterations are done.
-    #[error("all {iterations} iterations are done; raise `iterations` in a new run to train for longer")]
+    #[error(
+        "all {iterations} iterations are done; raise `iterations` in a new run to train for longer"
+    )]
     Finished {
         /// The number of iterations.
         iterations: usize,
@@ -90,6 +94,9 @@ pub enum TrainError {
 impl TrainError {
     /// An out-of-range setting.
     pub(crate) fn setting(key: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self::Setting { key: key.into(), problem: problem.into() }
+        Self::Setting {
+            key: key.into(),
+            problem: problem.into(),
+        }
     }
 }

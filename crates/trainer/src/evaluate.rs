@@ -128,9 +128,19 @@ impl Trainer {
     ///
     /// # Errors
     /// The renderer refuses its input.
-    pub fn render_view(&self, camera: &Camera, cam_from_world: &DAffine3, time: f32) -> Result<Image, TrainError> {
+    pub fn render_view(
+        &self,
+        camera: &Camera,
+        cam_from_world: &DAffine3,
+        time: f32,
+    ) -> Result<Image, TrainError> {
         let camera = camera.clone().with_near(self.near());
-        Ok(to_image(&self.render_detached(&self.model.detached(), &camera, cam_from_world, time)?))
+        Ok(to_image(&self.render_detached(
+            &self.model.detached(),
+            &camera,
+            cam_from_world,
+            time,
+        )?))
     }
 
     fn render_detached(
@@ -141,9 +151,18 @@ impl Trainer {
         time: f32,
     ) -> Result<Rendered, TrainError> {
         let posed = model.pose(time);
-        let options = RenderOptions { sh_degree: self.schedule.sh_degree_at(self.progress.iteration) };
+        let options = RenderOptions {
+            sh_degree: self.schedule.sh_degree_at(self.progress.iteration),
+        };
         let pose = pose_tensor(cam_from_world, &self.device);
-        Ok(render(posed.splats, pose, camera, &options, posed.dynamic, None)?)
+        Ok(render(
+            posed.splats,
+            pose,
+            camera,
+            &options,
+            posed.dynamic,
+            None,
+        )?)
     }
 
     /// A training view, sharp and as the model says that the camera saw it.
@@ -166,7 +185,11 @@ impl Trainer {
                 centroid: [0.0; 2],
             });
         };
-        let field = net.forward(frame, &blur_inputs(&rendered, self.survey.scene_size), Extractor::Frozen)?;
+        let field = net.forward(
+            frame,
+            &blur_inputs(&rendered, self.survey.scene_size),
+            Extractor::Frozen,
+        )?;
         let blurred = composite(rendered.color(), &field)?;
         let shifts = host(centroid(&field));
         let mut mean = [0.0; 2];
@@ -177,8 +200,16 @@ impl Trainer {
         let [height, width] = field.intensity.dims();
         Ok(BlurredView {
             sharp,
-            blurred: Image { width, height, pixels: host(blurred) },
-            intensity: Some(Map { width, height, values: host(field.intensity.clone()) }),
+            blurred: Image {
+                width,
+                height,
+                pixels: host(blurred),
+            },
+            intensity: Some(Map {
+                width,
+                height,
+                values: host(field.intensity.clone()),
+            }),
             kernels: Some(host(field.kernel)),
             centroid: mean.map(|m| m / (width * height) as f64),
         })
@@ -206,18 +237,25 @@ impl Trainer {
         }
         let mut train_sharp = Vec::new();
         let (mut shift, mut intensity) = ([0.0; 2], 0.0);
-        let blurred = self.model.blur.is_some() && self.schedule.is_blurred(self.progress.iteration);
+        let blurred =
+            self.model.blur.is_some() && self.schedule.is_blurred(self.progress.iteration);
         let frames = self.scene.frames.len();
         if blurred || truth.sharp.is_some() {
             for index in 0..frames {
                 let render = self.render_training_view(index)?;
                 shift = [shift[0] + render.centroid[0], shift[1] + render.centroid[1]];
                 if let Some(map) = &render.intensity {
-                    intensity += map.values.iter().map(|&v| f64::from(v)).sum::<f64>() / map.values.len() as f64;
+                    intensity += map.values.iter().map(|&v| f64::from(v)).sum::<f64>()
+                        / map.values.len() as f64;
                 }
                 if let Some(sharp) = &truth.sharp {
                     let name = &self.scene.frames[index].view.name;
-                    train_sharp.push(score(name, &render.sharp, &sharp[index], &Regions::default()));
+                    train_sharp.push(score(
+                        name,
+                        &render.sharp,
+                        &sharp[index],
+                        &Regions::default(),
+                    ));
                 }
             }
         }
@@ -238,7 +276,11 @@ impl Trainer {
 fn to_image(rendered: &Rendered) -> Image {
     let color = rendered.color();
     let [height, width, _] = color.dims();
-    Image { width, height, pixels: host(color) }
+    Image {
+        width,
+        height,
+        pixels: host(color),
+    }
 }
 
 /// Pixels of a test view that are scored apart.
@@ -250,17 +292,32 @@ struct Regions {
 }
 
 fn regions(truth: &Truth, index: usize) -> Regions {
-    let Some(covisible) = truth.covisible.as_ref() else { return Regions::default() };
+    let Some(covisible) = truth.covisible.as_ref() else {
+        return Regions::default();
+    };
     // Pixels that are shrunk from several count only where all of those are seen.
     let covisible: Vec<bool> = covisible[index].values.iter().map(|&v| v >= 0.99).collect();
     let masks = truth.masks_test.as_ref().map(|masks| &masks[index]);
     let fixed = masks.map(|mask| {
         let near = dilate(mask, 1, 0.02);
-        covisible.iter().zip(near).map(|(&seen, near)| seen && !near).collect()
+        covisible
+            .iter()
+            .zip(near)
+            .map(|(&seen, near)| seen && !near)
+            .collect()
     });
-    let moving =
-        masks.map(|mask| covisible.iter().zip(&mask.values).map(|(&seen, &m)| seen && m > 0.5).collect());
-    Regions { covisible: Some(covisible), fixed, moving }
+    let moving = masks.map(|mask| {
+        covisible
+            .iter()
+            .zip(&mask.values)
+            .map(|(&seen, &m)| seen && m > 0.5)
+            .collect()
+    });
+    Regions {
+        covisible: Some(covisible),
+        fixed,
+        moving,
+    }
 }
 
 fn score(name: &str, render: &Image, wanted: &Image, regions: &Regions) -> ViewScores {
@@ -278,7 +335,11 @@ fn score(name: &str, render: &Image, wanted: &Image, regions: &Regions) -> ViewS
 
 /// Rounded to 8 bit, as in the PNG.
 fn quantized(image: &Image) -> Vec<f32> {
-    image.pixels.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() / 255.0).collect()
+    image
+        .pixels
+        .iter()
+        .map(|v| (v.clamp(0.0, 1.0) * 255.0).round() / 255.0)
+        .collect()
 }
 
 fn mean_scores(views: Vec<ViewScores>) -> Option<Scores> {

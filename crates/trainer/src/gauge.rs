@@ -13,7 +13,10 @@ pub(crate) struct Gauge {
 
 impl Gauge {
     pub(crate) fn new(cells: [usize; 2], num_frames: usize) -> Self {
-        Self { cells, shifts: vec![Vec::new(); num_frames] }
+        Self {
+            cells,
+            shifts: vec![Vec::new(); num_frames],
+        }
     }
 
     /// The penalty of a frame's live shifts [rows · columns, 2].
@@ -26,7 +29,12 @@ impl Gauge {
         let (device, dtype, shape) = (live.device(), live.dtype(), live.dims());
         let mut others = vec![0.0_f32; shape[0] * shape[1]];
         let mut seen = 1;
-        for (_, shifts) in self.shifts.iter().enumerate().filter(|(i, s)| *i != frame && !s.is_empty()) {
+        for (_, shifts) in self
+            .shifts
+            .iter()
+            .enumerate()
+            .filter(|(i, s)| *i != frame && !s.is_empty())
+        {
             seen += 1;
             for (sum, value) in others.iter_mut().zip(shifts) {
                 *sum += value;

@@ -18,18 +18,30 @@ pub(crate) fn lift_tracks(scene: &Scene, max_tracks: usize, seed: u64) -> Tracks
         confidence: Vec::new(),
         colors: Vec::new(),
     };
-    let Some(tracks) = &scene.tracks else { return out };
+    let Some(tracks) = &scene.tracks else {
+        return out;
+    };
     let share = max_tracks.div_ceil(tracks.queries.len().max(1));
     for query in &tracks.queries {
-        let Some(query_frame) = scene.frames.get(query.frame) else { continue };
+        let Some(query_frame) = scene.frames.get(query.frame) else {
+            continue;
+        };
         let count = query.samples.len() / n;
         let mut rng = generator(seed, Purpose::Tracks, query.frame as u64);
-        let lifted: Vec<Lifted> =
-            sample(&mut rng, count, share).into_iter().map(|row| lift_track(scene, query, row)).collect();
-        let mut seen: Vec<usize> = lifted.iter().map(|t| t.visible.iter().filter(|&&v| v).count()).collect();
+        let lifted: Vec<Lifted> = sample(&mut rng, count, share)
+            .into_iter()
+            .map(|row| lift_track(scene, query, row))
+            .collect();
+        let mut seen: Vec<usize> = lifted
+            .iter()
+            .map(|t| t.visible.iter().filter(|&&v| v).count())
+            .collect();
         let counts = seen.clone();
         seen.sort_unstable();
-        let least = seen.get(seen.len() / 10).map_or(0, |&tenth| tenth.min(n / 20)).max(1);
+        let least = seen
+            .get(seen.len() / 10)
+            .map_or(0, |&tenth| tenth.min(n / 20))
+            .max(1);
         for ((track, row), seen) in lifted.into_iter().zip(0..).zip(counts) {
             if seen < least {
                 continue;
@@ -54,8 +66,11 @@ struct Lifted {
 fn lift_track(scene: &Scene, query: &QueryTracks, row: usize) -> Lifted {
     let n = scene.frames.len();
     let samples = &query.samples[row * n..(row + 1) * n];
-    let mut lifted =
-        Lifted { positions: Vec::with_capacity(n), visible: Vec::with_capacity(n), confidence: Vec::with_capacity(n) };
+    let mut lifted = Lifted {
+        positions: Vec::with_capacity(n),
+        visible: Vec::with_capacity(n),
+        confidence: Vec::with_capacity(n),
+    };
     for (frame, s) in scene.frames.iter().zip(samples) {
         let visible = 1.0 - sigmoid(s.occlusion);
         let confident = 1.0 - sigmoid(s.expected_distance);
@@ -63,11 +78,22 @@ fn lift_track(scene: &Scene, query: &QueryTracks, row: usize) -> Lifted {
         let z = depth_inside_mask(frame, pixel);
         let is_visible = visible * confident > 0.5 && z.is_some();
         let is_invisible = (1.0 - visible) * confident > 0.5 && z.is_some();
-        let z = z.unwrap_or_else(|| frame.depth.as_ref().map_or(1.0, |d| nearest_depth(d, pixel)));
+        let z = z.unwrap_or_else(|| {
+            frame
+                .depth
+                .as_ref()
+                .map_or(1.0, |d| nearest_depth(d, pixel))
+        });
         let point = frame.view.camera.unproject(pixel, z);
-        lifted.positions.push(frame.view.cam_from_world.inverse().transform_point3(point));
+        lifted
+            .positions
+            .push(frame.view.cam_from_world.inverse().transform_point3(point));
         lifted.visible.push(is_visible);
-        lifted.confidence.push(if is_visible || is_invisible { confident } else { 0.0 });
+        lifted.confidence.push(if is_visible || is_invisible {
+            confident
+        } else {
+            0.0
+        });
     }
     lifted
 }
@@ -97,7 +123,8 @@ fn corners(width: usize, height: usize, pixel: DVec2) -> [(usize, f64); 4] {
 /// Bilinear depth where every pixel that counts lies in the mask and has depth.
 fn depth_inside_mask(frame: &Frame, pixel: DVec2) -> Option<f64> {
     let (depth, mask) = (frame.depth.as_ref()?, frame.mask.as_ref()?);
-    let inside = (0.0..depth.width as f64).contains(&pixel.x) && (0.0..depth.height as f64).contains(&pixel.y);
+    let inside = (0.0..depth.width as f64).contains(&pixel.x)
+        && (0.0..depth.height as f64).contains(&pixel.y);
     if !inside {
         return None;
     }
@@ -114,7 +141,11 @@ fn depth_inside_mask(frame: &Frame, pixel: DVec2) -> Option<f64> {
 
 /// Depth of the nearest pixel, for a position that is not trusted; any positive number will do where there is none.
 fn nearest_depth(depth: &Map, pixel: DVec2) -> f64 {
-    let pixel = if pixel.is_finite() { pixel } else { DVec2::ZERO };
+    let pixel = if pixel.is_finite() {
+        pixel
+    } else {
+        DVec2::ZERO
+    };
     let z = f64::from(depth.values[corners(depth.width, depth.height, pixel)[0].0]);
     if z > 0.0 { z } else { 1.0 }
 }

@@ -62,7 +62,13 @@ pub(crate) struct GaussianTensors {
 impl GaussianTensors {
     /// Each parameter by its name.
     pub(crate) fn by_name(self) -> BTreeMap<&'static str, Tensor<2>> {
-        let Self { means, quats, log_scales, opacity_logits, sh } = self;
+        let Self {
+            means,
+            quats,
+            log_scales,
+            opacity_logits,
+            sh,
+        } = self;
         BTreeMap::from([
             ("gaussians.means", means),
             ("gaussians.quats", quats),
@@ -73,7 +79,13 @@ impl GaussianTensors {
     }
 
     /// Isotropic Gaussians without rotation; SH of `degree` with the colour in degree 0.
-    pub(crate) fn new(seeds: &Seeds, opacity: f64, degree: usize, device: &Device, dtype: DType) -> Self {
+    pub(crate) fn new(
+        seeds: &Seeds,
+        opacity: f64,
+        degree: usize,
+        device: &Device,
+        dtype: DType,
+    ) -> Self {
         let n = seeds.means.len();
         let columns = 3 * (degree + 1) * (degree + 1);
         let tensor = |values: Vec<f64>, width: usize| {
@@ -89,7 +101,14 @@ impl GaussianTensors {
             means: tensor(seeds.means.iter().flat_map(|m| m.to_array()).collect(), 3),
             quats: tensor([1.0, 0.0, 0.0, 0.0].repeat(n), 4),
             // A floor keeps coincident points (distance 0) finite.
-            log_scales: tensor(seeds.scales.iter().flat_map(|s| [s.max(1e-9).ln(); 3]).collect(), 3),
+            log_scales: tensor(
+                seeds
+                    .scales
+                    .iter()
+                    .flat_map(|s| [s.max(1e-9).ln(); 3])
+                    .collect(),
+                3,
+            ),
             opacity_logits: tensor(vec![(opacity / (1.0 - opacity)).ln(); n], 1),
             sh: tensor(sh, columns),
         }
@@ -112,13 +131,15 @@ impl Model {
     /// Motion of the dynamic Gaussians at a time (training frames, may be fractional).
     #[must_use]
     pub fn motion_at(&self, time: f32) -> Option<Motion> {
-        self.motion.as_ref().map(|m| m.bases.motion_at(&m.coefficients, time))
+        self.motion
+            .as_ref()
+            .map(|m| m.bases.motion_at(&m.coefficients, time))
     }
 
     /// Means of the dynamic Gaussians in the canonical frame, [F, 3].
     #[must_use]
     pub fn dynamic_means(&self) -> Tensor<2> {
-        self.means.clone().slice([0..self.num_dynamic])
+        self.means.clone().narrow(0, 0, self.num_dynamic)
     }
 
     /// All Gaussians at a time (training frames, may be fractional).
@@ -128,7 +149,15 @@ impl Model {
         let (mut means, mut left_rotations, mut dynamic) = (self.means.clone(), None, None);
         if let Some(motion) = self.motion_at(time) {
             let moved = motion.transform_means(&self.dynamic_means());
-            means = Tensor::cat(vec![moved, self.means.clone().slice([self.num_dynamic..n])], 0);
+            means = Tensor::cat(
+                vec![
+                    moved,
+                    self.means
+                        .clone()
+                        .narrow(0, self.num_dynamic, n - self.num_dynamic),
+                ],
+                0,
+            );
             left_rotations = Some(motion.rotations);
             let (device, dtype) = (self.means.device(), self.means.dtype());
             dynamic = Some(Tensor::cat(
@@ -153,12 +182,25 @@ impl Model {
     /// All parameters with their names.
     #[must_use]
     pub fn parameters(&self) -> Vec<(String, Tensor<2>)> {
-        self.clone().parameters_mut().into_iter().map(|(name, tensor)| (name, tensor.clone())).collect()
+        self.clone()
+            .parameters_mut()
+            .into_iter()
+            .map(|(name, tensor)| (name, tensor.clone()))
+            .collect()
     }
 
     /// All parameters with their names, to be replaced.
     pub fn parameters_mut(&mut self) -> Vec<(String, &mut Tensor<2>)> {
-        let Self { means, quats, log_scales, opacity_logits, sh, num_dynamic: _, motion, blur } = self;
+        let Self {
+            means,
+            quats,
+            log_scales,
+            opacity_logits,
+            sh,
+            num_dynamic: _,
+            motion,
+            blur,
+        } = self;
         let mut all = vec![
             ("gaussians.means".to_owned(), means),
             ("gaussians.quats".to_owned(), quats),
@@ -172,7 +214,11 @@ impl Model {
             all.push(("motion.coefficients".to_owned(), &mut motion.coefficients));
         }
         if let Some(blur) = blur {
-            all.extend(blur.parameters_mut().into_iter().map(|(name, tensor)| (format!("blur.{name}"), tensor)));
+            all.extend(
+                blur.parameters_mut()
+                    .into_iter()
+                    .map(|(name, tensor)| (format!("blur.{name}"), tensor)),
+            );
         }
         all
     }
@@ -196,7 +242,10 @@ impl Model {
             let moved = rows::<3>(&motion.transform_means(&self.dynamic_means()));
             means[..moved.len()].copy_from_slice(&moved);
             let rotations: Vec<[f64; 9]> =
-                rows::<9>(&motion.rotations.reshape([self.num_dynamic, 9])).iter().map(|r| r.map(f64::from)).collect();
+                rows::<9>(&motion.rotations.reshape([self.num_dynamic, 9]))
+                    .iter()
+                    .map(|r| r.map(f64::from))
+                    .collect();
             quats = quats_of_posed(&rotations, &quats);
         }
         Gaussians {
@@ -222,10 +271,16 @@ pub(crate) fn constant(tensor: &Tensor<2>) -> Tensor<2> {
 
 /// The values of a tensor on the host, as f32.
 pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.try_into_vec_as::<f32>().expect("a float tensor can be read back")
+    tensor
+        .try_into_vec_as::<f32>()
+        .expect("a float tensor can be read back")
 }
 
 /// A tensor of host values with the device and dtype of the model.
-pub(crate) fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+pub(crate) fn tensor<const D: usize>(
+    values: Vec<f32>,
+    shape: [usize; D],
+    device: &Device,
+) -> Tensor<D> {
     Tensor::from_data(TensorData::new(values, shape), device)
 }

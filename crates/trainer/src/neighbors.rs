@@ -32,19 +32,26 @@ impl Neighbors {
         if points.is_empty() {
             return None;
         }
-        Some(Self(KDTree::new(&points.iter().copied().map(tree_point).collect::<Vec<_>>())))
+        Some(Self(KDTree::new(
+            &points.iter().copied().map(tree_point).collect::<Vec<_>>(),
+        )))
     }
 
     /// Index of the nearest point.
     pub(crate) fn nearest(&self, query: DVec3) -> usize {
-        self.0.knn(1, &tree_point(query)).first().map_or(0, |n| n.index as usize)
+        self.0
+            .knn(1, &tree_point(query))
+            .first()
+            .map_or(0, |n| n.index as usize)
     }
 }
 
 /// For each point the mean distance to its three nearest other points (of those there are);
 /// 0 for a single point.
 pub(crate) fn mean_neighbor_distances(points: &[DVec3]) -> Vec<f64> {
-    let Some(tree) = Neighbors::new(points) else { return Vec::new() };
+    let Some(tree) = Neighbors::new(points) else {
+        return Vec::new();
+    };
     points
         .par_iter()
         .map(|&p| {
@@ -63,7 +70,9 @@ mod tests {
 
     #[test]
     fn distances_on_a_line() {
-        let points: Vec<DVec3> = [0.0, 1.0, 3.0, 6.0].map(|x| DVec3::new(x, 0.0, 0.0)).to_vec();
+        let points: Vec<DVec3> = [0.0, 1.0, 3.0, 6.0]
+            .map(|x| DVec3::new(x, 0.0, 0.0))
+            .to_vec();
         let mean = mean_neighbor_distances(&points);
         assert!((mean[0] - 10.0 / 3.0).abs() < 1e-12);
         assert!((mean[1] - (1.0 + 2.0 + 5.0) / 3.0).abs() < 1e-12);

@@ -22,8 +22,13 @@ impl Optimizer {
         grads: &mut Gradients,
         rate: &LearningRate,
     ) -> Result<(), NonFiniteGradient> {
-        let Some(grad) = parameter.grad_remove(grads) else { return Ok(()) };
-        let state = self.states.entry(name.to_owned()).or_insert_with(|| AdamState::new(parameter));
+        let Some(grad) = parameter.grad_remove(grads) else {
+            return Ok(());
+        };
+        let state = self
+            .states
+            .entry(name.to_owned())
+            .or_insert_with(|| AdamState::new(parameter));
         adam_step(parameter, grad, state, rate, &AdamOptions::default())
     }
 
@@ -50,12 +55,17 @@ impl Rates<'_> {
         let boost = self.schedule.short_run_boost(r.short_run_boost);
         LearningRate::Uniform(match name {
             "gaussians.means" => {
-                self.scene_size * self.schedule.log_linear(it, r.means, r.means_final, r.means_decay)
+                self.scene_size
+                    * self
+                        .schedule
+                        .log_linear(it, r.means, r.means_final, r.means_decay)
             }
             "gaussians.quats" => r.rotations,
             "gaussians.log_scales" => r.scales,
             "gaussians.opacity_logits" => r.opacity,
-            "gaussians.sh" => return LearningRate::first_and_rest(r.sh_dc, 3, r.sh_rest, self.sh_columns),
+            "gaussians.sh" => {
+                return LearningRate::first_and_rest(r.sh_dc, 3, r.sh_rest, self.sh_columns);
+            }
             "motion.rots" => r.bases * boost,
             "motion.transls" => r.bases * boost * self.scene_size,
             "motion.coefficients" => r.coefficients * boost,

@@ -30,10 +30,18 @@ impl Seeds {
 /// Static Gaussians of a scene with depth: pixels outside the grown mask and off depth edges, the
 /// same number from each frame; scale from the three nearest neighbours, at least half a pixel.
 pub(crate) fn place_static(scene: &Scene, settings: &GaussianSettings, seed: u64) -> Seeds {
-    let pixels = scene.frames.first().map_or(0, |f| f.view.camera.num_pixels());
+    let pixels = scene
+        .frames
+        .first()
+        .map_or(0, |f| f.view.camera.num_pixels());
     let limit = (settings.initial_static_per_pixel * pixels as f64) as usize;
     let total = settings.max_initial_static.min(limit).max(1);
-    let with_depth = scene.frames.iter().filter(|f| f.depth.is_some()).count().max(1);
+    let with_depth = scene
+        .frames
+        .iter()
+        .filter(|f| f.depth.is_some())
+        .count()
+        .max(1);
     let (mut means, mut colors, mut half_pixels) = (Vec::new(), Vec::new(), Vec::new());
     for (index, frame) in scene.frames.iter().enumerate() {
         let Some(depth) = &frame.depth else { continue };
@@ -60,15 +68,30 @@ pub(crate) fn place_points(scene: &Scene) -> Seeds {
 
 fn with_neighbor_scales(means: Vec<DVec3>, colors: Vec<[f32; 3]>, floors: &[f64]) -> Seeds {
     let distances = mean_neighbor_distances(&means);
-    let scales = distances.iter().zip(floors).map(|(&d, &floor)| d.max(floor)).collect();
-    Seeds { means, colors, scales }
+    let scales = distances
+        .iter()
+        .zip(floors)
+        .map(|(&d, &floor)| d.max(floor))
+        .collect();
+    Seeds {
+        means,
+        colors,
+        scales,
+    }
 }
 
 /// The world point of pixel `i` (row-major) at z-depth `z`.
 pub(crate) fn lift(frame: &Frame, i: usize, z: f64) -> DVec3 {
     let camera = &frame.view.camera;
-    let center = DVec2::new((i % camera.width) as f64 + 0.5, (i / camera.width) as f64 + 0.5);
-    frame.view.cam_from_world.inverse().transform_point3(camera.unproject(center, z))
+    let center = DVec2::new(
+        (i % camera.width) as f64 + 0.5,
+        (i / camera.width) as f64 + 0.5,
+    );
+    frame
+        .view
+        .cam_from_world
+        .inverse()
+        .transform_point3(camera.unproject(center, z))
 }
 
 /// The colour of pixel `i` (row-major).
@@ -82,9 +105,8 @@ fn static_pixels(frame: &Frame, depth: &Map, settings: &GaussianSettings) -> Vec
     let margin = pixels_at_256(settings.mask_margin, depth.width);
     let moving = frame.mask.as_ref().map(|m| dilate(m, margin, 0.02));
     let edge = depth_edges(depth, settings.depth_edge);
-    let chosen = (0..depth.values.len()).filter(|&i| {
-        depth.values[i] > 0.0 && !edge[i] && moving.as_ref().is_none_or(|m| !m[i])
-    });
+    let chosen = (0..depth.values.len())
+        .filter(|&i| depth.values[i] > 0.0 && !edge[i] && moving.as_ref().is_none_or(|m| !m[i]));
     chosen.collect()
 }
 
@@ -141,7 +163,11 @@ mod tests {
     use super::*;
 
     fn map(width: usize, height: usize, values: Vec<f32>) -> Map {
-        Map { width, height, values }
+        Map {
+            width,
+            height,
+            values,
+        }
     }
 
     #[test]

@@ -51,7 +51,9 @@ impl Schedule {
         let n = settings.iterations;
         let s = n as f64 / REFERENCE_ITERATIONS as f64;
         let at = |moment: usize| (moment as f64 * s) as usize;
-        let blur_from = modelled.blur.then(|| at(settings.blur.from).max(250.min(n / 4)));
+        let blur_from = modelled
+            .blur
+            .then(|| at(settings.blur.from).max(250.min(n / 4)));
         Self {
             iterations: n,
             densify_dynamic_at: (modelled.motion && settings.motion.densify)
@@ -69,7 +71,11 @@ impl Schedule {
             prune_scale_from: at(settings.gaussians.prune_scale_from),
             sh_degree_every: settings.gaussians.sh_degree_every as f64 * s,
             sh_degree: settings.gaussians.sh_degree,
-            opacity_reset_every: if n >= 10_000 { settings.gaussians.opacity_reset_every } else { 0 },
+            opacity_reset_every: if n >= 10_000 {
+                settings.gaussians.opacity_reset_every
+            } else {
+                0
+            },
         }
     }
 
@@ -124,7 +130,8 @@ impl Schedule {
     /// Degree of the spherical harmonics at iteration `it`.
     #[must_use]
     pub fn sh_degree_at(&self, it: usize) -> usize {
-        self.sh_degree.min((it as f64 / self.sh_degree_every) as usize)
+        self.sh_degree
+            .min((it as f64 / self.sh_degree_every) as usize)
     }
 
     /// Whether opacities are reset at the end of iteration `it`: only while density control runs,
@@ -146,7 +153,10 @@ impl Schedule {
             self.kernel_center_from,
             self.downsample_from,
         ];
-        !events.into_iter().flatten().any(|event| event > it && event <= it + 1000)
+        !events
+            .into_iter()
+            .flatten()
+            .any(|event| event > it && event <= it + 1000)
     }
 
     /// Learning rate that falls log-linearly from `start` to `end` over `length` iterations of 40,000.
@@ -160,7 +170,10 @@ impl Schedule {
     /// Factor by which blur, bases and coefficients learn faster in short runs: `min(limit, s^-1/2)`, at least 1.
     #[must_use]
     pub fn short_run_boost(&self, limit: f64) -> f64 {
-        (REFERENCE_ITERATIONS as f64 / self.iterations as f64).sqrt().min(limit).max(1.0)
+        (REFERENCE_ITERATIONS as f64 / self.iterations as f64)
+            .sqrt()
+            .min(limit)
+            .max(1.0)
     }
 }
 
@@ -168,10 +181,21 @@ impl Schedule {
 mod tests {
     use super::*;
 
-    const ALL: Modelled = Modelled { motion: true, blur: true, unseen: true };
+    const ALL: Modelled = Modelled {
+        motion: true,
+        blur: true,
+        unseen: true,
+    };
 
     fn schedule(n: usize, frames: usize) -> Schedule {
-        Schedule::new(&Settings { iterations: n, ..Settings::default() }, frames, ALL)
+        Schedule::new(
+            &Settings {
+                iterations: n,
+                ..Settings::default()
+            },
+            frames,
+            ALL,
+        )
     }
 
     fn first(n: usize, happens: impl Fn(usize) -> bool) -> Option<usize> {
@@ -183,13 +207,19 @@ mod tests {
         let s = schedule(40_000, 24);
         assert_eq!(s.densify_dynamic_at, Some(2500));
         let unseen: Vec<usize> = (1..=40_000).filter(|&it| s.is_unseen(it)).collect();
-        assert_eq!((unseen[0], unseen[1], *unseen.last().expect("some")), (3005, 3010, 40_000));
+        assert_eq!(
+            (unseen[0], unseen[1], *unseen.last().expect("some")),
+            (3005, 3010, 40_000)
+        );
         assert_eq!(first(40_000, |it| s.is_blurred(it)), Some(3501));
         assert_eq!(first(40_000, |it| s.steps_blur(it)), Some(3701));
         assert_eq!(first(40_000, |it| s.has_kernel_center(it)), Some(5501));
         assert_eq!(first(40_000, |it| s.has_downsample(it)), Some(4501));
         let control: Vec<usize> = (1..=40_000).filter(|&it| s.controls_density(it)).collect();
-        assert_eq!((control.len(), control[0], *control.last().expect("some")), (144, 600, 14_900));
+        assert_eq!(
+            (control.len(), control[0], *control.last().expect("some")),
+            (144, 600, 14_900)
+        );
         assert_eq!(
             [999, 1000, 1999, 2000, 2999, 3000, 40_000].map(|it| s.sh_degree_at(it)),
             [0, 1, 1, 2, 2, 3, 3]
@@ -201,13 +231,23 @@ mod tests {
     #[test]
     fn opacity_is_never_reset_before_an_event_or_under_blur() {
         let s = schedule(40_000, 24);
-        assert_eq!(first(40_000, |it| s.resets_opacity(it)), None, "3,000 lies 500 before blur");
+        assert_eq!(
+            first(40_000, |it| s.resets_opacity(it)),
+            None,
+            "3,000 lies 500 before blur"
+        );
         let sharp = Schedule::new(
             &Settings::default(),
             24,
-            Modelled { motion: true, blur: false, unseen: true },
+            Modelled {
+                motion: true,
+                blur: false,
+                unseen: true,
+            },
         );
-        let resets: Vec<usize> = (1..=40_000).filter(|&it| sharp.resets_opacity(it)).collect();
+        let resets: Vec<usize> = (1..=40_000)
+            .filter(|&it| sharp.resets_opacity(it))
+            .collect();
         assert_eq!(resets, vec![3000, 6000, 9000, 12_000]);
         assert!((1..=9999).all(|it| !schedule(9999, 24).resets_opacity(it)));
     }
@@ -217,16 +257,32 @@ mod tests {
         let s = schedule(3000, 24);
         assert_eq!(s.densify_dynamic_at, Some(187));
         assert_eq!(s.unseen_from, Some(225));
-        assert_eq!((s.blur_from, s.blur_step_from, s.kernel_center_from), (Some(262), Some(462), Some(762)));
+        assert_eq!(
+            (s.blur_from, s.blur_step_from, s.kernel_center_from),
+            (Some(262), Some(462), Some(762))
+        );
         assert_eq!(first(3000, |it| s.controls_density(it)), Some(50));
         let s = schedule(300, 24);
         assert_eq!(s.densify_dynamic_at, Some(18));
-        assert_eq!((s.blur_from, s.blur_step_from, s.kernel_center_from), (Some(75), Some(112), Some(150)));
+        assert_eq!(
+            (s.blur_from, s.blur_step_from, s.kernel_center_from),
+            (Some(75), Some(112), Some(150))
+        );
         for n in [200, 300, 1200, 3000, 10_000, 40_000] {
             let s = schedule(n, 24);
-            let control = (1..=n).filter(|&it| s.controls_density(it)).collect::<Vec<_>>();
-            assert!(control.windows(2).all(|w| w[1] - w[0] >= 25), "at {n}: {control:?}");
-            let order = [s.densify_dynamic_at, s.unseen_from, s.blur_from, s.kernel_center_from];
+            let control = (1..=n)
+                .filter(|&it| s.controls_density(it))
+                .collect::<Vec<_>>();
+            assert!(
+                control.windows(2).all(|w| w[1] - w[0] >= 25),
+                "at {n}: {control:?}"
+            );
+            let order = [
+                s.densify_dynamic_at,
+                s.unseen_from,
+                s.blur_from,
+                s.kernel_center_from,
+            ];
             assert!(order.windows(2).all(|w| w[0] < w[1]), "at {n}: {order:?}");
             assert!(s.kernel_center_from.expect("blur") < n);
         }
@@ -237,11 +293,17 @@ mod tests {
         for n in [300, 3000, 40_000] {
             let s = schedule(n, 24);
             // Switches go on once and stay on; the one-off event has one moment inside the run.
-            for on in [Schedule::is_blurred, Schedule::steps_blur, Schedule::has_kernel_center] {
+            for on in [
+                Schedule::is_blurred,
+                Schedule::steps_blur,
+                Schedule::has_kernel_center,
+            ] {
                 let flips = (1..n).filter(|&it| on(&s, it) != on(&s, it + 1)).count();
                 assert_eq!((flips, on(&s, 1), on(&s, n)), (1, false, true), "at {n}");
             }
-            let steps = (1..n).filter(|&it| s.sh_degree_at(it) != s.sh_degree_at(it + 1)).count();
+            let steps = (1..n)
+                .filter(|&it| s.sh_degree_at(it) != s.sh_degree_at(it + 1))
+                .count();
             assert_eq!((steps, s.sh_degree_at(n)), (3, 3), "at {n}");
             assert!((1..=n).contains(&s.densify_dynamic_at.expect("motion")));
         }
@@ -249,10 +311,23 @@ mod tests {
 
     #[test]
     fn what_is_not_modelled_never_happens() {
-        let none = Modelled { motion: false, blur: false, unseen: false };
-        let s = Schedule::new(&Settings { iterations: 3000, ..Settings::default() }, 24, none);
+        let none = Modelled {
+            motion: false,
+            blur: false,
+            unseen: false,
+        };
+        let s = Schedule::new(
+            &Settings {
+                iterations: 3000,
+                ..Settings::default()
+            },
+            24,
+            none,
+        );
         assert_eq!(s.densify_dynamic_at, None);
-        assert!((1..=3000).all(|it| !s.is_unseen(it) && !s.is_blurred(it) && !s.has_kernel_center(it)));
+        assert!(
+            (1..=3000).all(|it| !s.is_unseen(it) && !s.is_blurred(it) && !s.has_kernel_center(it))
+        );
     }
 
     #[test]

@@ -202,7 +202,14 @@ pub struct UnseenSettings {
 
 impl Default for UnseenSettings {
     fn default() -> Self {
-        Self { enabled: true, from: 3000, every: 5, offset: 0.05, sharpness: 50.0, min_valid: 0.6 }
+        Self {
+            enabled: true,
+            from: 3000,
+            every: 5,
+            offset: 0.05,
+            sharpness: 50.0,
+            min_valid: 0.6,
+        }
     }
 }
 
@@ -325,7 +332,11 @@ impl Settings {
     /// Names the first setting that is out of its range, and the range.
     pub fn validate(&self) -> Result<(), TrainError> {
         let check = |ok: bool, key: &str, allowed: &str| {
-            if ok { Ok(()) } else { Err(TrainError::setting(key, format!("must be {allowed}"))) }
+            if ok {
+                Ok(())
+            } else {
+                Err(TrainError::setting(key, format!("must be {allowed}")))
+            }
         };
         check(
             self.iterations >= 200,
@@ -334,9 +345,17 @@ impl Settings {
         )?;
         let g = &self.gaussians;
         check(g.sh_degree <= 3, "gaussians.sh_degree", "0 to 3")?;
-        check(g.sh_degree_every > 0, "gaussians.sh_degree_every", "positive")?;
+        check(
+            g.sh_degree_every > 0,
+            "gaussians.sh_degree_every",
+            "positive",
+        )?;
         check(g.control_every > 0, "gaussians.control_every", "positive")?;
-        check(g.max_initial_static > 0, "gaussians.max_initial_static", "positive")?;
+        check(
+            g.max_initial_static > 0,
+            "gaussians.max_initial_static",
+            "positive",
+        )?;
         check(
             g.initial_opacity > 0.0 && g.initial_opacity < 1.0,
             "gaussians.initial_opacity",
@@ -344,13 +363,20 @@ impl Settings {
         )?;
         let k = self.blur.kernel_size;
         check(k % 2 == 1 && k <= 15, "blur.kernel_size", "odd, 1 to 15")?;
-        check(self.blur.gauge_cells.iter().all(|&n| n > 0), "blur.gauge_cells", "two positive numbers")?;
+        check(
+            self.blur.gauge_cells.iter().all(|&n| n > 0),
+            "blur.gauge_cells",
+            "two positive numbers",
+        )?;
         check(self.motion.num_bases > 0, "motion.num_bases", "positive")?;
         check(self.unseen.every > 0, "unseen.every", "positive")?;
         check(self.loss.ssim <= 1.0, "loss.ssim", "0 to 1")?;
         let l = &self.learning_rates;
         let positive = [
-            (g.initial_static_per_pixel, "gaussians.initial_static_per_pixel"),
+            (
+                g.initial_static_per_pixel,
+                "gaussians.initial_static_per_pixel",
+            ),
             (g.gradient_threshold, "gaussians.gradient_threshold"),
             (g.split_scale, "gaussians.split_scale"),
             (g.prune_scale, "gaussians.prune_scale"),
@@ -392,7 +418,11 @@ impl Settings {
             (l.blur, "learning_rates.blur"),
         ];
         for (value, key) in not_negative {
-            check(value.is_finite() && value >= 0.0, key, "zero or a positive number")?;
+            check(
+                value.is_finite() && value >= 0.0,
+                key,
+                "zero or a positive number",
+            )?;
         }
         Ok(())
     }
@@ -410,7 +440,8 @@ mod tests {
             settings
         );
         assert_eq!(
-            serde_json::from_str::<Settings>(&serde_json::to_string(&settings).expect("json")).expect("json"),
+            serde_json::from_str::<Settings>(&serde_json::to_string(&settings).expect("json"))
+                .expect("json"),
             settings
         );
     }
@@ -423,15 +454,14 @@ mod tests {
 
     #[test]
     fn values_out_of_range_are_named() {
-        let mut settings = Settings::default();
-        settings.blur.kernel_size = 8;
-        assert!(settings.validate().expect_err("even K").to_string().contains("blur.kernel_size"));
-        let mut settings = Settings::default();
-        settings.iterations = 199;
-        assert!(settings.validate().expect_err("too short").to_string().contains("iterations"));
-        let mut settings = Settings::default();
-        settings.loss.depth = f64::NAN;
-        assert!(settings.validate().expect_err("NaN").to_string().contains("loss.depth"));
+        let mistake = |change: fn(&mut Settings)| {
+            let mut settings = Settings::default();
+            change(&mut settings);
+            settings.validate().expect_err("out of range").to_string()
+        };
+        assert!(mistake(|s| s.blur.kernel_size = 8).contains("blur.kernel_size"));
+        assert!(mistake(|s| s.iterations = 199).contains("iterations"));
+        assert!(mistake(|s| s.loss.depth = f64::NAN).contains("loss.depth"));
         assert!(Settings::default().validate().is_ok());
         assert!(Settings::paper().validate().is_ok());
     }

@@ -2,17 +2,20 @@
 
 use crate::TrainError;
 use crate::density::{
-    DensityOptions, DensityStats, RowEdit, add_to_rows, gather_rows, plan_density, reset_opacity, split_offsets,
+    DensityOptions, DensityStats, RowEdit, add_to_rows, gather_rows, plan_density, reset_opacity,
+    split_offsets,
 };
 use crate::dynamics::densify;
 use crate::losses;
 use crate::model::{constant, host};
 use crate::optimizer::Rates;
-use crate::real::leaf;
 use crate::random::{Purpose, generator};
+use crate::real::leaf;
 use crate::trainer::Trainer;
 use crate::views::{ViewRef, camera_of};
-use bpnet::{BlurField, BlurInputs, BpNet, Extractor, cell_means, centroid, composite, kernel_center_loss};
+use bpnet::{
+    BlurField, BlurInputs, BpNet, Extractor, cell_means, centroid, composite, kernel_center_loss,
+};
 use burn::tensor::{Gradients, Tensor};
 use splat_core::{RenderOptions, Rendered, render};
 
@@ -65,19 +68,27 @@ impl Trainer {
     /// [`TrainError::Gradient`], after which it must not be saved.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         if self.is_done() {
-            return Err(TrainError::Finished { iterations: self.settings.iterations });
+            return Err(TrainError::Finished {
+                iterations: self.settings.iterations,
+            });
         }
         let it = self.progress.iteration + 1;
         let unseen = self.schedule.is_unseen(it);
-        let view = if unseen { self.next_unseen_view() } else { self.next_training_view() };
+        let view = if unseen {
+            self.next_unseen_view()
+        } else {
+            self.next_training_view()
+        };
         let (frame, name) = (view.frame, view.name.to_owned());
 
         let posed = self.model.pose(view.time);
         let camera = camera_of(&self.scene, frame, self.near());
-        let options = RenderOptions { sh_degree: self.schedule.sh_degree_at(it) };
+        let options = RenderOptions {
+            sh_degree: self.schedule.sh_degree_at(it),
+        };
         let gathers = self.schedule.gathers_density(it);
-        let screen_grad =
-            gathers.then(|| Tensor::<1>::zeros([self.model.num_gaussians()], &self.device).require_grad());
+        let screen_grad = gathers
+            .then(|| Tensor::<1>::zeros([self.model.num_gaussians()], &self.device).require_grad());
         let rendered = render(
             posed.splats,
             view.pose(&self.device),
@@ -101,13 +112,30 @@ impl Trainer {
         let psnr = current_psnr(&blurred, &target);
 
         let mut terms = Terms::default();
-        let shifts = self.add_image_terms(&mut terms, it, &view, &rendered, field.as_ref(), sharp, blurred, target);
+        let shifts = self.add_image_terms(
+            &mut terms,
+            it,
+            &view,
+            &rendered,
+            field.as_ref(),
+            sharp,
+            blurred,
+            target,
+        );
         self.add_motion_terms(&mut terms, &view);
 
         let stacked = Tensor::cat(terms.values, 0);
-        let values: Vec<f64> = host(stacked.clone().detach()).into_iter().map(f64::from).collect();
+        let values: Vec<f64> = host(stacked.clone().detach())
+            .into_iter()
+            .map(f64::from)
+            .collect();
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-            return Err(TrainError::NotFinite { iteration: it, view: name, term: terms.names[at], value: values[at] });
+            return Err(TrainError::NotFinite {
+                iteration: it,
+                view: name,
+                term: terms.names[at],
+                value: values[at],
+            });
         }
         let mut grads = stacked.sum().backward();
 
@@ -145,12 +173,20 @@ impl Trainer {
         view: &ViewRef<'_>,
         rendered: &Rendered,
     ) -> Result<Option<BlurField>, TrainError> {
-        let Some(net) = self.model.blur.as_ref().filter(|_| self.schedule.is_blurred(it)) else {
+        let Some(net) = self
+            .model
+            .blur
+            .as_ref()
+            .filter(|_| self.schedule.is_blurred(it))
+        else {
             return Ok(None);
         };
         let inputs = blur_inputs(rendered, self.survey.scene_size);
-        let extractor =
-            if self.settings.blur.train_extractor { Extractor::Trained } else { Extractor::Frozen };
+        let extractor = if self.settings.blur.train_extractor {
+            Extractor::Trained
+        } else {
+            Extractor::Frozen
+        };
         Ok(Some(if self.schedule.steps_blur(it) {
             net.forward(view.frame, &inputs, extractor)?
         } else {
@@ -171,10 +207,17 @@ impl Trainer {
         target: Tensor<3>,
     ) -> Option<Tensor<2>> {
         let weights = &self.settings.loss;
-        terms.add("image", 1.0, || losses::photometric(blurred, target.clone(), weights.ssim));
+        terms.add("image", 1.0, || {
+            losses::photometric(blurred, target.clone(), weights.ssim)
+        });
         if let Some(depth) = view.depth {
             terms.add("depth", weights.depth, || {
-                losses::depth_loss(rendered.depth(), &rendered.alpha(), depth, self.survey.scene_size)
+                losses::depth_loss(
+                    rendered.depth(),
+                    &rendered.alpha(),
+                    depth,
+                    self.survey.scene_size,
+                )
             });
         }
         if let (Some(mask), Some(dynamic)) = (view.mask, rendered.features()) {
@@ -184,27 +227,37 @@ impl Trainer {
         }
         let field = field?;
         if self.schedule.has_downsample(it) {
-            terms.add("downsample", weights.downsample, || losses::downsample_loss(sharp, target, 4));
+            terms.add("downsample", weights.downsample, || {
+                losses::downsample_loss(sharp, target, 4)
+            });
         }
         if !self.schedule.steps_blur(it) {
             return None;
         }
         if self.schedule.has_kernel_center(it) {
-            terms.add("kernel_center", weights.kernel_center, || kernel_center_loss(field));
-            terms.add("intensity", weights.intensity, || losses::intensity_penalty(field.intensity.clone()));
+            terms.add("kernel_center", weights.kernel_center, || {
+                kernel_center_loss(field)
+            });
+            terms.add("intensity", weights.intensity, || {
+                losses::intensity_penalty(field.intensity.clone())
+            });
         }
         if view.is_unseen() || weights.gauge == 0.0 {
             return None;
         }
         let [rows, columns] = self.settings.blur.gauge_cells;
         let shifts = cell_means(centroid(field), rows, columns);
-        terms.add("gauge", weights.gauge, || self.gauge.penalty(view.frame, shifts.clone()));
+        terms.add("gauge", weights.gauge, || {
+            self.gauge.penalty(view.frame, shifts.clone())
+        });
         Some(shifts)
     }
 
     /// Smoothness of the motion, on positions divided by S.
     fn add_motion_terms(&self, terms: &mut Terms, view: &ViewRef<'_>) {
-        let Some(motion) = &self.model.motion else { return };
+        let Some(motion) = &self.model.motion else {
+            return;
+        };
         let weights = &self.settings.loss;
         let size = self.survey.scene_size;
         terms.add("bases_acceleration", weights.bases_acceleration, || {
@@ -216,8 +269,12 @@ impl Trainer {
         }
         let middle = view.time.clamp(1.0, last - 1.0);
         let means = self.model.dynamic_means();
-        let at =
-            |time: f32| motion.bases.motion_at(&motion.coefficients, time).transform_means(&means);
+        let at = |time: f32| {
+            motion
+                .bases
+                .motion_at(&motion.coefficients, time)
+                .transform_means(&means)
+        };
         let (before, now, after) = (at(middle - 1.0), at(middle), at(middle + 1.0));
         terms.add("means_acceleration", weights.means_acceleration, || {
             motion_bases::means_acceleration(&before, &now, &after, size)
@@ -227,7 +284,12 @@ impl Trainer {
         });
     }
 
-    fn step_parameters(&mut self, it: usize, view: &str, grads: &mut Gradients) -> Result<(), TrainError> {
+    fn step_parameters(
+        &mut self,
+        it: usize,
+        view: &str,
+        grads: &mut Gradients,
+    ) -> Result<(), TrainError> {
         let rates = Rates {
             rates: &self.settings.learning_rates,
             schedule: &self.schedule,
@@ -236,12 +298,14 @@ impl Trainer {
         };
         for (name, parameter) in self.model.parameters_mut() {
             let rate = rates.of(&name, it);
-            self.optimizer.step(&name, parameter, grads, &rate).map_err(|problem| TrainError::Gradient {
-                iteration: it,
-                view: view.to_owned(),
-                parameter: name,
-                problem,
-            })?;
+            self.optimizer
+                .step(&name, parameter, grads, &rate)
+                .map_err(|problem| TrainError::Gradient {
+                    iteration: it,
+                    view: view.to_owned(),
+                    parameter: name,
+                    problem,
+                })?;
         }
         Ok(())
     }
@@ -279,14 +343,25 @@ impl Trainer {
         let options = DensityOptions {
             grad_threshold: (g.gradient_threshold * 288.0 / height) as f32,
             split_scale: (g.split_scale * size) as f32,
-            prune_scale: self.schedule.prunes_scale(it).then_some((g.prune_scale * size) as f32),
+            prune_scale: self
+                .schedule
+                .prunes_scale(it)
+                .then_some((g.prune_scale * size) as f32),
             prune_opacity: g.prune_opacity as f32,
             max_gaussians: self.max_gaussians(),
         };
-        let (log_scales, quats) = (host(self.model.log_scales.clone()), host(self.model.quats.clone()));
+        let (log_scales, quats) = (
+            host(self.model.log_scales.clone()),
+            host(self.model.quats.clone()),
+        );
         let logits = host(self.model.opacity_logits.clone());
-        let edit =
-            plan_density(&self.density.average(), &log_scales, &logits, self.model.num_dynamic, &options);
+        let edit = plan_density(
+            &self.density.average(),
+            &log_scales,
+            &logits,
+            self.model.num_dynamic,
+            &options,
+        );
         let offsets = split_offsets(
             &edit,
             &log_scales,
@@ -298,7 +373,9 @@ impl Trainer {
             return;
         }
         for (name, parameter) in self.model.parameters_mut() {
-            let Some(edit) = edit_of(&name, &edit) else { continue };
+            let Some(edit) = edit_of(&name, &edit) else {
+                continue;
+            };
             *parameter = gather_rows(parameter, &edit);
             self.optimizer.edit(&name, &edit);
         }
@@ -310,11 +387,16 @@ impl Trainer {
     fn densify_dynamic(&mut self) {
         let (old, dynamic) = (self.model.num_gaussians(), self.model.num_dynamic);
         let room = self.max_gaussians().saturating_sub(old);
-        let Some(new) = densify(&self.model, &self.scene, &self.settings, room, &self.device) else { return };
+        let Some(new) = densify(&self.model, &self.scene, &self.settings, room, &self.device)
+        else {
+            return;
+        };
         let edit = RowEdit::append_dynamic(old, dynamic, &new.parents);
         let rows = new.gaussians.by_name();
         for (name, parameter) in self.model.parameters_mut() {
-            let Some(edit) = edit_of(&name, &edit) else { continue };
+            let Some(edit) = edit_of(&name, &edit) else {
+                continue;
+            };
             *parameter = match rows.get(name.as_str()) {
                 Some(rows) => insert_rows(parameter, dynamic, rows),
                 None => gather_rows(parameter, &edit),
@@ -339,7 +421,11 @@ fn edit_of(name: &str, edit: &RowEdit) -> Option<RowEdit> {
 fn insert_rows(tensor: &Tensor<2>, at: usize, rows: &Tensor<2>) -> Tensor<2> {
     let n = tensor.dims()[0];
     let old = tensor.clone().inner();
-    let parts = vec![old.clone().slice([0..at]), rows.clone().inner(), old.slice([at..n])];
+    let parts = vec![
+        old.clone().narrow(0, 0, at),
+        rows.clone().inner(),
+        old.narrow(0, at, n - at),
+    ];
     leaf(Tensor::cat(parts, 0), tensor.is_autodiff())
 }
 
@@ -351,7 +437,11 @@ pub(crate) fn blur_inputs(rendered: &Rendered, scene_size: f64) -> BlurInputs {
         Some(dynamic) => dynamic.squeeze_dim(2),
         None => rendered.alpha().zeros_like(),
     };
-    BlurInputs { color: rendered.color(), disparity: depth.recip().mul_scalar(scene_size), mask }
+    BlurInputs {
+        color: rendered.color(),
+        disparity: depth.recip().mul_scalar(scene_size),
+        mask,
+    }
 }
 
 /// The same network with constants for parameters.
@@ -365,6 +455,8 @@ fn without_graph(net: &BpNet) -> BpNet {
 
 /// PSNR in dB of detached pictures.
 fn current_psnr(a: &Tensor<3>, b: &Tensor<3>) -> f64 {
-    let error = (a.clone().detach() - b.clone().detach()).powi_scalar(2).mean();
+    let error = (a.clone().detach() - b.clone().detach())
+        .powi_scalar(2)
+        .mean();
     -10.0 * f64::from(host(error)[0]).max(1e-12).log10()
 }

@@ -38,7 +38,10 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         if aligned.is_empty() {
             notes.push("depth is used as it is: too few sparse points to align it to".to_owned());
         } else {
-            let largest = aligned.iter().map(|(s, _)| (s - 1.0).abs()).fold(0.0, f64::max);
+            let largest = aligned
+                .iter()
+                .map(|(s, _)| (s - 1.0).abs())
+                .fold(0.0, f64::max);
             notes.push(format!(
                 "depth of {} frames aligned to the sparse points (scale changed by up to {:.1} %)",
                 aligned.len(),
@@ -46,11 +49,16 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
             ));
         }
     } else {
-        notes.push("no depth: Gaussians start at the sparse points, no depth loss, no unseen views".to_owned());
+        notes.push(
+            "no depth: Gaussians start at the sparse points, no depth loss, no unseen views"
+                .to_owned(),
+        );
     }
     let mut depths: Vec<f32> = if depth {
         let maps = scene.frames.iter().filter_map(|f| f.depth.as_ref());
-        maps.flat_map(|m| m.values.iter().copied()).filter(|&z| z > 0.0).collect()
+        maps.flat_map(|m| m.values.iter().copied())
+            .filter(|&z| z > 0.0)
+            .collect()
     } else {
         sparse_depths(scene)
     };
@@ -62,16 +70,30 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         ));
     }
     let scene_size = f64::from(median(&mut depths));
-    let masked = scene.frames.iter().filter_map(|f| f.mask.as_ref()).any(|m| m.values.iter().any(|&v| v > 0.5));
-    let tracked = scene.tracks.as_ref().is_some_and(|t| t.queries.iter().any(|q| !q.samples.is_empty()));
+    let masked = scene
+        .frames
+        .iter()
+        .filter_map(|f| f.mask.as_ref())
+        .any(|m| m.values.iter().any(|&v| v > 0.5));
+    let tracked = scene
+        .tracks
+        .as_ref()
+        .is_some_and(|t| t.queries.iter().any(|q| !q.samples.is_empty()));
     let movers = masked && tracked && depth;
     notes.push(match (masked, tracked, depth) {
         (true, true, true) => "masks and tracks show movers: motion bases are used".to_owned(),
-        (true, true, false) => "masks and tracks are ignored: movers need depth to be lifted".to_owned(),
+        (true, true, false) => {
+            "masks and tracks are ignored: movers need depth to be lifted".to_owned()
+        }
         (true, false, _) => "masks without tracks: the scene is modelled as static".to_owned(),
         (false, ..) => "no movers: no motion bases".to_owned(),
     });
-    Ok(Survey { scene_size, movers, depth, notes })
+    Ok(Survey {
+        scene_size,
+        movers,
+        depth,
+        notes,
+    })
 }
 
 /// The median; of an even number of values the upper one. Values are reordered.
@@ -111,7 +133,9 @@ fn fit_disparity(frame: &Frame, points: &[SparsePoint]) -> Option<(f64, f64)> {
             continue;
         }
         let pixel = view.camera.project(c);
-        if !(0.0..depth.width as f64).contains(&pixel.x) || !(0.0..depth.height as f64).contains(&pixel.y) {
+        if !(0.0..depth.width as f64).contains(&pixel.x)
+            || !(0.0..depth.height as f64).contains(&pixel.y)
+        {
             continue;
         }
         let i = pixel.y as usize * depth.width + pixel.x as usize;
@@ -156,7 +180,11 @@ fn apply_disparity_fit(depth: &mut Map, (scale, shift): (f64, f64)) {
     for z in &mut depth.values {
         if *z > 0.0 {
             let disparity = scale / f64::from(*z) + shift;
-            *z = if disparity > 1e-9 * scale { (1.0 / disparity) as f32 } else { 0.0 };
+            *z = if disparity > 1e-9 * scale {
+                (1.0 / disparity) as f32
+            } else {
+                0.0
+            };
         }
     }
 }

@@ -63,7 +63,11 @@ impl Trainer {
         let device = device.clone().autodiff();
         let dtype = DType::F32;
 
-        let dynamics = if survey.movers { start_dynamics(&scene, &settings, &device, dtype)? } else { None };
+        let dynamics = if survey.movers {
+            start_dynamics(&scene, &settings, &device, dtype)?
+        } else {
+            None
+        };
         survey.movers = dynamics.is_some();
         let still = if survey.depth {
             place_static(&scene, &settings.gaussians, settings.seed)
@@ -78,7 +82,10 @@ impl Trainer {
             None => (Seeds::default(), None),
         };
         let num_dynamic = moving.means.len();
-        survey.notes.push(format!("{} static Gaussians at the start", still.means.len()));
+        survey.notes.push(format!(
+            "{} static Gaussians at the start",
+            still.means.len()
+        ));
         let seeds = moving.followed_by(still);
         if seeds.means.is_empty() {
             return Err(TrainError::Scene(
@@ -92,13 +99,21 @@ impl Trainer {
             &device,
             dtype,
         );
-        let blur = settings.blur.enabled.then(|| new_blur(&settings, scene.frames.len(), &device, dtype)).transpose()?;
+        let blur = settings
+            .blur
+            .enabled
+            .then(|| new_blur(&settings, scene.frames.len(), &device, dtype))
+            .transpose()?;
         let near = settings.gaussians.near * survey.scene_size;
         let unseen = make_unseen(&scene, &settings, &survey, near)?;
         if settings.unseen.enabled && survey.depth {
             survey.notes.push(format!("{} unseen views", unseen.len()));
         }
-        let modelled = Modelled { motion: motion.is_some(), blur: blur.is_some(), unseen: !unseen.is_empty() };
+        let modelled = Modelled {
+            motion: motion.is_some(),
+            blur: blur.is_some(),
+            unseen: !unseen.is_empty(),
+        };
         let schedule = Schedule::new(&settings, scene.frames.len(), modelled);
         let model = Model {
             means: start.means.require_grad(),
@@ -141,7 +156,8 @@ impl Trainer {
             )));
         }
         let n = gaussians.len();
-        let leaf = |values: Vec<f32>, columns| tensor(values, [n, columns], &self.device).require_grad();
+        let leaf =
+            |values: Vec<f32>, columns| tensor(values, [n, columns], &self.device).require_grad();
         self.model = Model {
             means: leaf(gaussians.means.as_flattened().to_vec(), 3),
             quats: leaf(gaussians.quats.as_flattened().to_vec(), 4),
@@ -206,14 +222,24 @@ impl Trainer {
     /// The training frame that comes next: every epoch shows each once, in an order of its own.
     pub(crate) fn next_training_view(&self) -> ViewRef<'_> {
         let n = self.scene.frames.len();
-        let frame = draw(self.settings.seed, Purpose::TrainOrder, self.progress.training_draws, n);
+        let frame = draw(
+            self.settings.seed,
+            Purpose::TrainOrder,
+            self.progress.training_draws,
+            n,
+        );
         ViewRef::training(&self.scene, frame)
     }
 
     /// The unseen view that comes next.
     pub(crate) fn next_unseen_view(&self) -> ViewRef<'_> {
         let n = self.unseen.len();
-        let index = draw(self.settings.seed, Purpose::UnseenOrder, self.progress.unseen_draws, n);
+        let index = draw(
+            self.settings.seed,
+            Purpose::UnseenOrder,
+            self.progress.unseen_draws,
+            n,
+        );
         ViewRef::unseen(&self.scene, &self.unseen[index])
     }
 }
@@ -234,7 +260,11 @@ pub(crate) fn new_blur(
         kernel_size: settings.blur.kernel_size,
         num_frames,
         shortcut: settings.blur.shortcut,
-        head: if settings.blur.mild_start { HeadInit::Mild } else { HeadInit::Framework },
+        head: if settings.blur.mild_start {
+            HeadInit::Mild
+        } else {
+            HeadInit::Framework
+        },
         seed: derived_seed(settings.seed, Purpose::BlurModel),
     };
     Ok(BpNet::new(&config, device, dtype)?)
@@ -250,5 +280,12 @@ pub(crate) fn make_unseen(
     if !settings.unseen.enabled || !survey.depth {
         return Ok(Vec::new());
     }
-    unseen_views(scene, &settings.unseen, survey.scene_size, near, settings.gaussians.depth_edge, settings.seed)
+    unseen_views(
+        scene,
+        &settings.unseen,
+        survey.scene_size,
+        near,
+        settings.gaussians.depth_edge,
+        settings.seed,
+    )
 }

@@ -94,13 +94,19 @@ impl<'a> ViewRef<'a> {
             return None;
         }
         let holes: Vec<bool> = valid.iter().map(|v| !v).collect();
-        Some(Tensor::from_data(TensorData::new(holes, [self.height, self.width, 1]), device))
+        Some(Tensor::from_data(
+            TensorData::new(holes, [self.height, self.width, 1]),
+            device,
+        ))
     }
 }
 
 /// A pose as a tensor [3, 4].
 pub(crate) fn pose_tensor(cam_from_world: &DAffine3, device: &Device) -> Tensor<2> {
-    Tensor::from_data(TensorData::new(pose_rows(cam_from_world).to_vec(), [3, 4]), device)
+    Tensor::from_data(
+        TensorData::new(pose_rows(cam_from_world).to_vec(), [3, 4]),
+        device,
+    )
 }
 
 /// The camera of a training frame, with the near plane of the run.
@@ -118,7 +124,10 @@ pub(crate) fn unseen_views(
     depth_edge: f64,
     seed: u64,
 ) -> Result<Vec<UnseenView>, TrainError> {
-    let options = WarpOptions { sharpness: settings.sharpness, edge_jump: depth_edge };
+    let options = WarpOptions {
+        sharpness: settings.sharpness,
+        edge_jump: depth_edge,
+    };
     let mut wanted = Vec::new();
     for i in 0..scene.frames.len().saturating_sub(1) {
         let a = &scene.frames[i].view.cam_from_world;
@@ -130,14 +139,20 @@ pub(crate) fn unseen_views(
         for (side, sign) in [(0, 1.0), (1, -1.0)] {
             let mut rng = generator(seed, Purpose::UnseenOffset, (2 * i + side) as u64);
             let offset = sign * settings.offset * scene_size * (0.5 + 0.5 * unit(&mut rng));
-            wanted.push((format!("perpendicular {i} {side}"), i, perpendicular_pose(a, b, offset)));
+            wanted.push((
+                format!("perpendicular {i} {side}"),
+                i,
+                perpendicular_pose(a, b, offset),
+            ));
         }
     }
     let views: Vec<Option<UnseenView>> = wanted
         .into_par_iter()
         .map(|(name, frame, cam_from_world)| {
             let source = &scene.frames[frame];
-            let Some(depth) = &source.depth else { return Ok(None) };
+            let Some(depth) = &source.depth else {
+                return Ok(None);
+            };
             let camera = camera_of(scene, frame, near);
             let source = Source {
                 camera: &camera,

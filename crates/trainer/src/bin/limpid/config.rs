@@ -93,16 +93,22 @@ impl Config {
     /// Reads a run's configuration from its output folder.
     pub(crate) fn of_run(folder: &Path) -> Result<Self, Failure> {
         let path = folder.join(CONFIG_FILE);
-        let text = std::fs::read_to_string(&path)
-            .map_err(|e| format!("{} holds no finished or started run: {e}: {}", folder.display(), path.display()))?;
+        let text = std::fs::read_to_string(&path).map_err(|e| {
+            format!(
+                "{} holds no finished or started run: {e}: {}",
+                folder.display(),
+                path.display()
+            )
+        })?;
         serde_json::from_str(&text).map_err(|e| format!("{e}: {}", path.display()).into())
     }
 
     /// The scene of this run, loaded.
     pub(crate) fn open_scene(&self) -> Result<io::Scene, Failure> {
-        let dir = self.run.scene.as_deref().ok_or(
-            "no scene: give --scene DIR, or --config FILE with a line `scene = \"DIR\"`",
-        )?;
+        let dir =
+            self.run.scene.as_deref().ok_or(
+                "no scene: give --scene DIR, or --config FILE with a line `scene = \"DIR\"`",
+            )?;
         let options = io::LoadOptions {
             downscale: self.run.downscale.unwrap_or(1),
             images: self.run.images.clone(),
@@ -118,16 +124,19 @@ pub(crate) fn read_table(path: &Path) -> Result<Table, Failure> {
     let mut table: Table = toml::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
     if let Some(Value::String(scene)) = table.get("scene") {
         let joined = path.parent().unwrap_or(Path::new("")).join(scene);
-        table.insert("scene".to_owned(), Value::String(joined.to_string_lossy().into_owned()));
+        table.insert(
+            "scene".to_owned(),
+            Value::String(joined.to_string_lossy().into_owned()),
+        );
     }
     Ok(table)
 }
 
 /// Sets a dotted key (`blur.kernel_size`) to a value in TOML's notation; text needs no quotes.
 pub(crate) fn set(table: &mut Table, assignment: &str) -> Result<(), Failure> {
-    let (key, text) = assignment
-        .split_once('=')
-        .ok_or_else(|| format!("--set {assignment}: write key=value, for example blur.kernel_size=7"))?;
+    let (key, text) = assignment.split_once('=').ok_or_else(|| {
+        format!("--set {assignment}: write key=value, for example blur.kernel_size=7")
+    })?;
     let value = format!("v = {text}")
         .parse::<Table>()
         .ok()
@@ -144,8 +153,12 @@ pub(crate) fn insert(table: &mut Table, key: &str, value: Value) -> Result<(), F
             Ok(())
         }
         Some((first, rest)) => {
-            let inner = table.entry(first).or_insert_with(|| Value::Table(Table::new()));
-            let Value::Table(inner) = inner else { return Err(format!("{first} is no group of settings").into()) };
+            let inner = table
+                .entry(first)
+                .or_insert_with(|| Value::Table(Table::new()));
+            let Value::Table(inner) = inner else {
+                return Err(format!("{first} is no group of settings").into());
+            };
             insert(inner, rest, value)
         }
     }
@@ -209,7 +222,10 @@ mod tests {
     fn mistakes_are_named() {
         let mistake = |assignment: &str| {
             let mut t = Table::new();
-            set(&mut t, assignment).and_then(|()| from_table(t, &Settings::default())).expect_err("a mistake").to_string()
+            set(&mut t, assignment)
+                .and_then(|()| from_table(t, &Settings::default()))
+                .expect_err("a mistake")
+                .to_string()
         };
         assert!(mistake("blur.kernel=7").contains("kernel"));
         assert!(mistake("blur.kernel_size=8").contains("blur.kernel_size"));
@@ -220,7 +236,8 @@ mod tests {
 
     #[test]
     fn a_config_survives_json() {
-        let mut config = from_table(table("scene = \"a\"\nstatic = true"), &Settings::paper()).expect("config");
+        let mut config =
+            from_table(table("scene = \"a\"\nstatic = true"), &Settings::paper()).expect("config");
         config.run.images = Some("truth/images_sharp".into());
         let text = serde_json::to_string(&config).expect("json");
         assert_eq!(serde_json::from_str::<Config>(&text).expect("json"), config);

@@ -34,10 +34,19 @@ pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
     let colors = match &arguments.colour_map {
         None => None,
         Some(given) => {
-            let path = if given.exists() { given.clone() } else { trainer.scene().root.join(given) };
-            let text = std::fs::read_to_string(&path).map_err(|e| format!("{e}: {}", path.display()))?;
-            let file: ColorMapFile = serde_json::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
-            Some(ColorMap { gain: file.gain, offset: file.offset })
+            let path = if given.exists() {
+                given.clone()
+            } else {
+                trainer.scene().root.join(given)
+            };
+            let text =
+                std::fs::read_to_string(&path).map_err(|e| format!("{e}: {}", path.display()))?;
+            let file: ColorMapFile =
+                serde_json::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
+            Some(ColorMap {
+                gain: file.gain,
+                offset: file.offset,
+            })
         }
     };
     let evaluation = trainer.evaluate_with(colors.as_ref())?;

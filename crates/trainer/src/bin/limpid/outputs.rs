@@ -9,7 +9,13 @@ use std::path::Path;
 use trainer::{Evaluation, Scores, Settings, Trainer};
 
 /// The names of a run's results in its folder.
-const RESULTS: [&str; 5] = [CONFIG_FILE, "metrics.json", "checkpoint", "renders", "scene.ply"];
+const RESULTS: [&str; 5] = [
+    CONFIG_FILE,
+    "metrics.json",
+    "checkpoint",
+    "renders",
+    "scene.ply",
+];
 const SECONDS_FILE: &str = "seconds.json";
 
 /// `metrics.json`.
@@ -37,7 +43,11 @@ pub(crate) fn prepare_folder(out: &Path, force: bool) -> Result<(), Failure> {
             )
             .into());
         }
-        let removed = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+        let removed = if path.is_dir() {
+            std::fs::remove_dir_all(&path)
+        } else {
+            std::fs::remove_file(&path)
+        };
         removed.map_err(|e| format!("{e}: {}", path.display()))?;
     }
     std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()).into())
@@ -93,7 +103,12 @@ pub(crate) fn write_renders(trainer: &Trainer, folder: &Path) -> Result<(), Fail
 }
 
 /// Writes `metrics.json`.
-pub(crate) fn write_metrics(path: &Path, evaluation: &Evaluation, config: &Config, seconds: f64) -> Result<(), Failure> {
+pub(crate) fn write_metrics(
+    path: &Path,
+    evaluation: &Evaluation,
+    config: &Config,
+    seconds: f64,
+) -> Result<(), Failure> {
     let metrics = Metrics {
         evaluation,
         seconds,
@@ -132,9 +147,18 @@ pub(crate) fn summary(evaluation: &Evaluation) -> String {
         line("sharp training views", scores);
     }
     let counts = evaluation.gaussians;
-    write!(text, "{} static and {} dynamic Gaussians", counts.fixed, counts.dynamic).expect("a string takes text");
+    write!(
+        text,
+        "{} static and {} dynamic Gaussians",
+        counts.fixed, counts.dynamic
+    )
+    .expect("a string takes text");
     if let (Some(shift), Some(m)) = (evaluation.kernel_centroid_px, evaluation.mean_intensity) {
-        write!(text, "; mean blur intensity {m:.2}, kernels' common shift {shift:.2} px").expect("a string takes text");
+        write!(
+            text,
+            "; mean blur intensity {m:.2}, kernels' common shift {shift:.2} px"
+        )
+        .expect("a string takes text");
     }
     text
 }

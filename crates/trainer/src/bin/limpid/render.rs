@@ -25,7 +25,10 @@ pub(crate) struct RenderArguments {
 
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
     let trainer = load(&arguments.run)?;
-    let out = arguments.out.clone().unwrap_or_else(|| arguments.run.join("renders"));
+    let out = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| arguments.run.join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
     if arguments.ply_at.is_empty() && !arguments.ply_sequence {
         outputs::write_renders(&trainer, &out)?;
@@ -35,7 +38,10 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
         if !time.is_finite() {
             return Err(format!("--ply-at {time}: give a time in training frames").into());
         }
-        io::write_ply(&out.join(format!("scene_at_{time}.ply")), &model.gaussians(Some(time)))?;
+        io::write_ply(
+            &out.join(format!("scene_at_{time}.ply")),
+            &model.gaussians(Some(time)),
+        )?;
     }
     if arguments.ply_sequence {
         // A folder of its own: viewers take a folder with nothing but numbered PLY files as a sequence.
@@ -54,5 +60,9 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
 pub(crate) fn load(run: &std::path::Path) -> Result<Trainer, Failure> {
     let config = Config::of_run(run)?;
     let device = config.run.backend.device()?;
-    Ok(Trainer::load(&run.join("checkpoint"), config.open_scene()?, &device)?)
+    Ok(Trainer::load(
+        &run.join("checkpoint"),
+        config.open_scene()?,
+        &device,
+    )?)
 }

@@ -22,7 +22,10 @@ pub(crate) fn row(blurry: &Image, view: &BlurredView) -> Option<Image> {
     let size = (kernels.len() / (width * height)).isqrt();
     let zoom = ((3 * width + 2 * GAP) / COLUMNS / (size + 1)).clamp(1, 16);
     let strip = size * zoom + GAP;
-    let mut sheet = canvas((3 * width + 2 * GAP).max(COLUMNS * (size * zoom + GAP)), height + GAP + 3 * strip);
+    let mut sheet = canvas(
+        (3 * width + 2 * GAP).max(COLUMNS * (size * zoom + GAP)),
+        height + GAP + 3 * strip,
+    );
     paste(&mut sheet, 0, 0, blurry);
     paste(&mut sheet, width + GAP, 0, &view.sharp);
     for (i, &m) in intensity.values.iter().enumerate() {
@@ -30,14 +33,22 @@ pub(crate) fn row(blurry: &Image, view: &BlurredView) -> Option<Image> {
     }
     for gy in 0..3 {
         for gx in 0..COLUMNS {
-            let (x, y) = ((2 * gx + 1) * width / (2 * COLUMNS), (2 * gy + 1) * height / 6);
+            let (x, y) = (
+                (2 * gx + 1) * width / (2 * COLUMNS),
+                (2 * gy + 1) * height / 6,
+            );
             let at = (y * width + x) * size * size;
             let kernel = &kernels[at..at + size * size];
             let largest = kernel.iter().fold(1e-12_f32, |a, &b| a.max(b));
             for v in 0..size * zoom {
                 for u in 0..size * zoom {
                     let value = kernel[v / zoom * size + u / zoom] / largest;
-                    put(&mut sheet, gx * (size * zoom + GAP) + u, height + GAP + gy * strip + v, [value; 3]);
+                    put(
+                        &mut sheet,
+                        gx * (size * zoom + GAP) + u,
+                        height + GAP + gy * strip + v,
+                        [value; 3],
+                    );
                 }
             }
         }
@@ -58,7 +69,11 @@ pub(crate) fn stack(rows: &[Image]) -> Option<Image> {
 }
 
 fn canvas(width: usize, height: usize) -> Image {
-    Image { width, height, pixels: [0.1, 0.1, 0.25].repeat(width * height) }
+    Image {
+        width,
+        height,
+        pixels: [0.1, 0.1, 0.25].repeat(width * height),
+    }
 }
 
 fn put(image: &mut Image, x: usize, y: usize, color: [f32; 3]) {
@@ -69,6 +84,7 @@ fn put(image: &mut Image, x: usize, y: usize, color: [f32; 3]) {
 fn paste(image: &mut Image, x: usize, y: usize, from: &Image) {
     for v in 0..from.height {
         let at = 3 * ((y + v) * image.width + x);
-        image.pixels[at..at + 3 * from.width].copy_from_slice(&from.pixels[3 * v * from.width..3 * (v + 1) * from.width]);
+        image.pixels[at..at + 3 * from.width]
+            .copy_from_slice(&from.pixels[3 * v * from.width..3 * (v + 1) * from.width]);
     }
 }

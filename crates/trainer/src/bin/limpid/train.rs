@@ -89,7 +89,11 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
         }
         let device = config.run.backend.device()?;
         let trainer = Trainer::load(&checkpoint, config.open_scene()?, &device)?;
-        eprintln!("going on after iteration {} of {}", trainer.iteration(), trainer.settings().iterations);
+        eprintln!(
+            "going on after iteration {} of {}",
+            trainer.iteration(),
+            trainer.settings().iterations
+        );
         (config, trainer, outputs::read_seconds(&checkpoint))
     } else {
         let device = asked.run.backend.device()?;
@@ -180,9 +184,19 @@ impl TrainArguments {
             ("iterations", self.iterations.map(number)),
             ("downscale", self.downscale.map(number)),
             ("static", self.is_static.then_some(Value::Boolean(true))),
-            ("backend", self.backend.map(|b| Value::String(b.name().to_owned()))),
-            ("seed", self.seed.map(|s| Value::Integer(i64::try_from(s).unwrap_or(i64::MAX)))),
-            ("blur.enabled", self.blur.map(|b| Value::Boolean(b == Switch::On))),
+            (
+                "backend",
+                self.backend.map(|b| Value::String(b.name().to_owned())),
+            ),
+            (
+                "seed",
+                self.seed
+                    .map(|s| Value::Integer(i64::try_from(s).unwrap_or(i64::MAX))),
+            ),
+            (
+                "blur.enabled",
+                self.blur.map(|b| Value::Boolean(b == Switch::On)),
+            ),
         ];
         for (key, value) in flags {
             if let Some(value) = value {
@@ -195,7 +209,9 @@ impl TrainArguments {
         let mut config = config::from_table(table, &defaults)?;
         // An absolute path, so that the run can be repeated from anywhere.
         if let Some(scene) = &mut config.run.scene {
-            *scene = scene.canonicalize().map_err(|e| format!("{e}: {}", scene.display()))?;
+            *scene = scene
+                .canonicalize()
+                .map_err(|e| format!("{e}: {}", scene.display()))?;
         }
         Ok(config)
     }
@@ -222,26 +238,44 @@ struct Progress {
 impl Progress {
     fn new(from: usize, iterations: usize) -> Self {
         let plain = !std::io::stderr().is_terminal();
-        let target = if plain { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let target = if plain {
+            ProgressDrawTarget::hidden()
+        } else {
+            ProgressDrawTarget::stderr()
+        };
         let bar = ProgressBar::with_draw_target(Some(iterations as u64), target);
         let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} · {eta} left");
         bar.set_style(style.expect("the template is valid"));
         bar.set_position(from as u64);
         bar.reset_eta();
-        Self { bar, plain, started: Instant::now(), from, iterations, psnr: f64::NAN }
+        Self {
+            bar,
+            plain,
+            started: Instant::now(),
+            from,
+            iterations,
+            psnr: f64::NAN,
+        }
     }
 
     fn show(&mut self, report: &StepReport) {
-        self.psnr = if self.psnr.is_nan() { report.psnr } else { 0.9 * self.psnr + 0.1 * report.psnr };
+        self.psnr = if self.psnr.is_nan() {
+            report.psnr
+        } else {
+            0.9 * self.psnr + 0.1 * report.psnr
+        };
         let text = format!(
             "loss {:.4} · PSNR {:.1} dB · {} Gaussians",
             report.loss, report.psnr, report.gaussians
         );
         self.bar.set_position(report.iteration as u64);
         let every = (self.iterations / 20).max(1);
-        if self.plain && (report.iteration.is_multiple_of(every) || report.iteration == self.iterations) {
+        if self.plain
+            && (report.iteration.is_multiple_of(every) || report.iteration == self.iterations)
+        {
             let done = (report.iteration - self.from) as f64;
-            let left = self.started.elapsed().as_secs_f64() / done * (self.iterations - report.iteration) as f64;
+            let left = self.started.elapsed().as_secs_f64() / done
+                * (self.iterations - report.iteration) as f64;
             eprintln!(
                 "{}/{} {text} · mean PSNR {:.1} dB · {left:.0} s left",
                 report.iteration, self.iterations, self.psnr
