@@ -9,32 +9,40 @@ use glam::{DAffine3, DVec3};
 /// Clusters of fewer tracks are not trimmed: each point counts.
 const MIN_TRIMMED: usize = 10;
 
-/// The cluster's rigid motion from `canonical` to each of the N frames; the identity, exactly, at
-/// `canonical` itself.
+/// The cluster's rigid motion from `canonical` to each of the N frames: the identity, exactly, at
+/// `canonical` itself, and `None` in a frame in which too few of the cluster's tracks are seen.
 ///
-/// `tracks` have their gaps filled. A frame in which too few of the cluster's tracks are seen takes
-/// the motion of its neighbour on the canonical frame's side.
+/// `tracks` have their gaps filled.
 pub(crate) fn cluster_motion(
     tracks: &Tracks3d,
     members: &[usize],
     canonical: usize,
-) -> Vec<DAffine3> {
-    let n = tracks.num_frames;
+) -> Vec<Option<DAffine3>> {
     let weights = member_weights(tracks, members);
-    let mut motion = vec![DAffine3::IDENTITY; n];
+    (0..tracks.num_frames)
+        .map(|t| {
+            if t == canonical {
+                Some(DAffine3::IDENTITY)
+            } else {
+                align(tracks, members, &weights, canonical, t)
+            }
+        })
+        .collect()
+}
+
+/// The motion in every frame: an unknown one is that of the nearest frame before it, on the side of
+/// the canonical frame.
+pub(crate) fn without_gaps(motion: &[Option<DAffine3>], canonical: usize) -> Vec<DAffine3> {
+    let mut complete = vec![DAffine3::IDENTITY; motion.len()];
     // Both sweeps start from the canonical frame (the reference lets the forward one go on from
     // frame 0, the backward sweep's end).
-    let mut last = DAffine3::IDENTITY;
     for t in (0..canonical).rev() {
-        last = align(tracks, members, &weights, canonical, t).unwrap_or(last);
-        motion[t] = last;
+        complete[t] = motion[t].unwrap_or(complete[t + 1]);
     }
-    last = DAffine3::IDENTITY;
-    for t in canonical + 1..n {
-        last = align(tracks, members, &weights, canonical, t).unwrap_or(last);
-        motion[t] = last;
+    for t in canonical + 1..motion.len() {
+        complete[t] = motion[t].unwrap_or(complete[t - 1]);
     }
-    motion
+    complete
 }
 
 /// Weights [n * N] of the cluster's tracks, frame by frame: high in the middle of the cluster, zero

@@ -1,8 +1,9 @@
 //! From 3D tracks to bases and coefficients (method facts 2.3 and 2.4).
 
 use crate::MotionError;
-use crate::basis_init::cluster_motion;
+use crate::basis_init::{cluster_motion, without_gaps};
 use crate::clustering::cluster;
+use crate::merging::{Cluster, merge};
 use crate::statistics::{half_range, median_point};
 use crate::tracks::Tracks3d;
 use glam::{DAffine3, DVec3};
@@ -10,10 +11,10 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-/// Tracks per basis at least, when the number of bases is limited by that of the tracks: three
-/// points determine a rigid motion.
-const TRACKS_PER_BASIS: usize = 3;
-/// A cluster with less than this share of the tracks is left out (100 of 40,000 in Shape of Motion).
+/// A cluster with fewer tracks is left out: three points determine a rigid motion. There are no more
+/// clusters than the tracks suffice for on average.
+const MIN_TRACKS: usize = 3;
+/// A cluster with less than one track in so many is left out (100 of 40,000 in Shape of Motion).
 const MIN_SHARE: usize = 400;
 
 /// How many bases, and from which random numbers.
@@ -50,7 +51,8 @@ pub struct MotionInit {
 }
 
 /// Finds motion bases: fills gaps, drops outliers, clusters the directions of the velocities, aligns
-/// each cluster with itself in every frame, and weighs the bases by the distance to the clusters.
+/// each cluster with itself in every frame, merges clusters that move alike, and weighs the bases by
+/// the distance to the clusters.
 ///
 /// Deterministic for a seed, whatever the number of threads.
 ///
@@ -73,26 +75,30 @@ pub fn initialize(tracks: &Tracks3d, options: &InitOptions) -> Result<MotionInit
     }
     let filled = filled.subset(&rows);
     let extent = foreground_extent(&filled, canonical_frame);
-    let clusters = cluster_tracks(&filled, extent, options);
-
-    let (motions, centers): (Vec<Vec<DAffine3>>, Vec<DVec3>) = clusters
-        .par_iter()
-        .map(|members| {
-            let at = |&row: &usize| filled.positions[filled.index(row, canonical_frame)];
-            (
-                cluster_motion(&filled, members, canonical_frame),
-                median_point(members.iter().map(at)),
-            )
+    let clusters: Vec<Cluster> = cluster_tracks(&filled, extent, options)
+        .into_par_iter()
+        .map(|members| Cluster {
+            motion: cluster_motion(&filled, &members, canonical_frame),
+            members,
         })
-        .unzip();
+        .collect();
+    let clusters = merge(&filled, canonical_frame, extent, with_motion(clusters));
+    let at = |&row: &usize| filled.positions[filled.index(row, canonical_frame)];
+    let centers: Vec<DVec3> = clusters
+        .iter()
+        .map(|c| median_point(c.members.iter().map(at)))
+        .collect();
+    let motions: Vec<DAffine3> = clusters
+        .iter()
+        .flat_map(|c| without_gaps(&c.motion, canonical_frame))
+        .collect();
     let coefficients = coefficients(&filled, canonical_frame, &centers, extent);
     Ok(MotionInit {
         canonical_frame,
         num_bases: clusters.len(),
-        rots: motions.iter().flatten().flat_map(six_numbers).collect(),
+        rots: motions.iter().flat_map(six_numbers).collect(),
         transls: motions
             .iter()
-            .flatten()
             .flat_map(|m| m.translation.to_array())
             .collect(),
         observed: tracks.subset(&rows).positions,
@@ -134,16 +140,34 @@ fn cluster_tracks(tracks: &Tracks3d, extent: f64, options: &InitOptions) -> Vec<
         })
         .collect();
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
-    let k = options.num_bases.min((count / TRACKS_PER_BASIS).max(1));
+    let k = options.num_bases.min((count / MIN_TRACKS).max(1));
     let labels = cluster(&directions, 3 * (n - 1), count, k, &mut rng);
     let mut clusters = vec![Vec::new(); labels.iter().max().map_or(0, |&l| l + 1)];
     for (row, &label) in labels.iter().enumerate() {
         clusters[label].push(row);
     }
     let largest = clusters.iter().map(Vec::len).max().unwrap_or(0);
-    let enough = count.div_ceil(MIN_SHARE).min(largest);
+    let enough = count.div_ceil(MIN_SHARE).max(MIN_TRACKS).min(largest);
     clusters.retain(|members| members.len() >= enough);
     clusters
+}
+
+/// The clusters whose motion is known in some frame besides the canonical one, which always has one;
+/// the largest cluster if there is none. (Tracks that are all hidden in the canonical frame say
+/// nothing about the motion from there.)
+fn with_motion(clusters: Vec<Cluster>) -> Vec<Cluster> {
+    let is_known = |c: &Cluster| c.motion.iter().flatten().count() > 1;
+    if clusters.iter().any(is_known) {
+        return clusters.into_iter().filter(is_known).collect();
+    }
+    let largest = clusters.into_iter().reduce(|a, b| {
+        if b.members.len() > a.members.len() {
+            b
+        } else {
+            a
+        }
+    });
+    largest.into_iter().collect()
 }
 
 /// Logits 10 exp(-distance / extent), [P, B], of the distance in the canonical frame to each
@@ -354,6 +378,36 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn clusters_of_one_body_become_one_and_a_bending_body_keeps_several() {
+        let noise = |row: usize, t: f64| {
+            0.02 * DVec3::new(
+                (row as f64 * 7.1 + t * 3.3).sin(),
+                (row as f64 * 3.7 + t * 5.9).sin(),
+                0.0,
+            )
+        };
+        let bases = |bend: f64| {
+            // A rod along x that turns as a whole, or the more the farther out.
+            let rod: Vec<DVec3> = (0..300)
+                .map(|i| {
+                    DVec3::new(
+                        0.02 * f64::from(i),
+                        (f64::from(i) * 2.3).sin(),
+                        (f64::from(i) * 4.7).sin(),
+                    )
+                })
+                .collect();
+            let tracks = tracks(&rod, 10, |row, p, t| {
+                let angle = 0.06 * (1.0 - bend + bend * p.x / 3.0) * t;
+                DQuat::from_rotation_z(angle) * p + DVec3::X * 0.1 * t + noise(row, t)
+            });
+            initialize(&tracks, &options(12)).expect("bases").num_bases
+        };
+        assert_eq!(bases(0.0), 1, "a rigid rod");
+        assert!(bases(1.0) >= 4, "a bending rod has {} bases", bases(1.0));
     }
 
     #[test]

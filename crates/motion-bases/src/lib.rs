@@ -15,6 +15,7 @@ mod clustering;
 mod error;
 mod fit;
 mod init;
+mod merging;
 mod motion;
 mod procrustes;
 mod quaternion;
