@@ -1,0 +1,613 @@
+//! The blur model on every backend: the blur op and the whole net against central differences in
+//! f64, its promises at the borders and at the start, and its bits on one and two threads.
+
+use bpnet::{
+    BlurField, BlurInputs, BpNet, BpNetConfig, BpNetError, Extractor, HeadInit, blur, cell_means,
+    centroid, composite, kernel_center_loss, positional_encoding,
+};
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use limpid_tests::{GradLimits, check_gradients, devices};
+
+/// Values in [0, 1) without a pattern.
+fn values(count: usize, seed: usize) -> Vec<f64> {
+    (0..count)
+        .map(|i| ((i * 7919 + seed * 104_729 + i * i * 31) % 10_007) as f64 / 10_007.0)
+        .collect()
+}
+
+fn tensor<const D: usize>(
+    values: Vec<f64>,
+    shape: [usize; D],
+    device: &Device,
+    dtype: DType,
+) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values, shape), (device, dtype))
+}
+
+fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+    tensor.into_data().iter::<f64>().collect()
+}
+
+fn config(kernel_size: usize, head: HeadInit) -> BpNetConfig {
+    BpNetConfig {
+        kernel_size,
+        num_frames: 3,
+        shortcut: true,
+        head,
+        seed: 7,
+    }
+}
+
+fn inputs(height: usize, width: usize, device: &Device, dtype: DType) -> BlurInputs {
+    BlurInputs {
+        color: tensor(
+            values(height * width * 3, 1),
+            [height, width, 3],
+            device,
+            dtype,
+        ),
+        disparity: tensor(values(height * width, 2), [height, width], device, dtype),
+        mask: tensor(values(height * width, 3), [height, width], device, dtype),
+    }
+}
+
+#[test]
+fn the_blur_has_the_gradients_of_image_and_kernel() {
+    for (name, device) in devices() {
+        // A kernel larger than the image, borders all around, images of one row and one pixel.
+        for (height, width, k) in [
+            (4, 5, 1),
+            (10, 4, 3),
+            (3, 4, 9),
+            (2, 3, 15),
+            (1, 4, 3),
+            (1, 1, 5),
+        ] {
+            let pixels = height * width;
+            let image = values(pixels * 3, 1);
+            let kernel: Vec<f64> = values(pixels * k * k, 2).iter().map(|v| v + 0.1).collect();
+            println!("{name}: {height} x {width}, K = {k}");
+            let loss = |image: Tensor<2>, kernel: Tensor<2>| {
+                let image = image.reshape([height, width, 3]);
+                let kernel = kernel.reshape([height, width, k * k]);
+                let blurred = blur(image, kernel).expect("the shapes fit");
+                let target = tensor(
+                    values(pixels * 3, 5),
+                    [height, width, 3],
+                    &blurred.device(),
+                    DType::F64,
+                );
+                (blurred - target).powi_scalar(2).sum()
+            };
+            // Where only one weight is inside the image, the kernel cancels against its own sum: the
+            // image alone is checked.
+            if k == 1 || pixels == 1 {
+                check_gradients(
+                    &device,
+                    &[("image", [pixels, 3], image)],
+                    &[],
+                    GradLimits::default(),
+                    |leaves| {
+                        let device = leaves[0].device();
+                        let kernel = tensor(kernel.clone(), [pixels, k * k], &device, DType::F64);
+                        loss(leaves[0].clone(), kernel)
+                    },
+                );
+            } else {
+                check_gradients(
+                    &device,
+                    &[
+                        ("image", [pixels, 3], image),
+                        ("kernel", [pixels, k * k], kernel),
+                    ],
+                    &[],
+                    GradLimits::default(),
+                    |leaves| loss(leaves[0].clone(), leaves[1].clone()),
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_blur_does_not_mind_how_its_inputs_lie_in_memory() {
+    for (name, device) in devices() {
+        let image = tensor::<3>(values(3 * 6 * 5, 1), [3, 6, 5], &device, DType::F32);
+        let kernel = tensor::<3>(values(9 * 5 * 6, 2), [9, 5, 6], &device, DType::F32);
+        let image = image.permute([1, 2, 0]); // [6, 5, 3]
+        let kernel = kernel.permute([2, 1, 0]); // [6, 5, 9]
+        let copy = |t: &Tensor<3>| Tensor::<3>::from_data(t.to_data(), (&device, DType::F32));
+        let expected = to_vec(blur(copy(&image), copy(&kernel)).expect("the shapes fit"));
+        let permuted = to_vec(blur(image, kernel).expect("the shapes fit"));
+        assert_eq!(permuted, expected, "{name}");
+    }
+}
+
+#[test]
+fn a_delta_kernel_returns_the_image_whatever_the_intensity() {
+    for (name, device) in devices() {
+        for k in [1, 9, 15] {
+            let mut kernel = vec![0.0; 4 * 6 * k * k];
+            for pixel in kernel.chunks_exact_mut(k * k) {
+                pixel[k * k / 2] = 1.0;
+            }
+            let field = BlurField {
+                kernel: tensor(kernel, [4, 6, k * k], &device, DType::F32),
+                intensity: tensor(values(24, 4), [4, 6], &device, DType::F32),
+            };
+            let image = tensor::<3>(values(72, 1), [4, 6, 3], &device, DType::F32);
+            let output = composite(image.clone(), &field).expect("the shapes fit");
+            assert_eq!(to_vec(output), to_vec(image), "{name}, K = {k}");
+        }
+    }
+}
+
+#[test]
+fn a_kernel_with_one_weight_fetches_the_pixel_it_points_at() {
+    for (name, device) in devices() {
+        // Index ky * K + kx = 5 of 3 x 3 is the pixel to the right.
+        let mut kernel = vec![0.0; 2 * 3 * 9];
+        for pixel in kernel.chunks_exact_mut(9) {
+            pixel[5] = 1.0;
+        }
+        let image = tensor::<3>(values(18, 1), [2, 3, 3], &device, DType::F32);
+        let field = BlurField {
+            kernel: tensor(kernel, [2, 3, 9], &device, DType::F32),
+            intensity: tensor(vec![0.5; 6], [2, 3], &device, DType::F32),
+        };
+        let output = blur(image.clone(), field.kernel.clone()).expect("the shapes fit");
+        let inner = output.narrow(1, 0, 2);
+        assert_eq!(to_vec(inner), to_vec(image.narrow(1, 1, 2)), "{name}");
+        let centroid = to_vec(centroid(&field));
+        assert_eq!(
+            centroid,
+            [0.5, 0.0].repeat(6),
+            "{name}: half of one pixel to the right"
+        );
+    }
+}
+
+#[test]
+fn a_constant_image_stays_constant_up_to_the_border() {
+    for (name, device) in devices() {
+        let net = BpNet::new(&config(9, HeadInit::Framework), &device, DType::F32)
+            .expect("the configuration is valid");
+        let mut inputs = inputs(7, 11, &device, DType::F32);
+        inputs.color = Tensor::full([7, 11, 3], 0.7, (&device, DType::F32));
+        let field = net
+            .forward(0, &inputs, Extractor::Trained)
+            .expect("the shapes fit");
+        let output = composite(inputs.color, &field).expect("the shapes fit");
+        for value in to_vec(output) {
+            assert!((value - 0.7).abs() < 1e-6, "{name}: {value}");
+        }
+        for sum in to_vec(field.kernel.sum_dim(2)) {
+            assert!((sum - 1.0).abs() < 1e-6, "{name}: a kernel sums to {sum}");
+        }
+    }
+}
+
+#[test]
+fn the_encoding_is_that_of_pixel_centres() {
+    for (name, device) in devices() {
+        let encoding = to_vec(positional_encoding([2, 4], &device, DType::F64));
+        for (pixel, row) in encoding.chunks_exact(16).enumerate() {
+            let (y, x) = (pixel / 4, pixel % 4);
+            let axes = [(x as f64 + 0.5) / 4.0, (y as f64 + 0.5) / 2.0];
+            for (channel, &value) in row.iter().enumerate() {
+                let angle =
+                    std::f64::consts::TAU * f64::from(1 << (channel % 4)) * axes[channel / 8];
+                let expected = if channel % 8 < 4 {
+                    angle.sin()
+                } else {
+                    angle.cos()
+                };
+                assert!(
+                    (value - expected).abs() < 1e-6,
+                    "{name}: pixel {pixel}, {channel}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_parameters_are_as_many_as_counted_by_hand() {
+    for (_, device) in devices() {
+        let count = |config: &BpNetConfig, extractor: bool| -> usize {
+            BpNet::new(config, &device, DType::F32)
+                .expect("the configuration is valid")
+                .parameters()
+                .iter()
+                .filter(|(name, _)| BpNet::is_extractor(name) == extractor)
+                .map(|(_, tensor)| tensor.dims().iter().product::<usize>())
+                .sum()
+        };
+        let mut config = config(9, HeadInit::Mild);
+        config.num_frames = 24;
+        // 5x5: 125 * 64 + 64, 1600 * 64 + 64; 3x3: 576 * 32 + 32.
+        assert_eq!(count(&config, true), 128_992);
+        // Embedding 24 * 32; 80 -> 64, 96 -> 64 twice, 64 -> 81, 64 -> 1, each with biases.
+        let base = (80 * 64 + 64) + 2 * (96 * 64 + 64);
+        assert_eq!(
+            count(&config, false),
+            768 + base + (64 * 81 + 81) + (64 + 1)
+        );
+        config.shortcut = false;
+        let base = (80 * 64 + 64) + 2 * (64 * 64 + 64);
+        assert_eq!(
+            count(&config, false),
+            768 + base + (64 * 81 + 81) + (64 + 1)
+        );
+    }
+}
+
+#[test]
+fn names_are_the_same_for_reading_and_replacing() {
+    for (_, device) in devices() {
+        let mut net = BpNet::new(&config(3, HeadInit::Mild), &device, DType::F32)
+            .expect("the configuration is valid");
+        let read: Vec<_> = net
+            .parameters()
+            .into_iter()
+            .map(|(n, t)| (n, t.dims()))
+            .collect();
+        let write: Vec<_> = net
+            .parameters_mut()
+            .into_iter()
+            .map(|(name, tensor)| {
+                *tensor = tensor.clone() * 0.0;
+                (name, tensor.dims())
+            })
+            .collect();
+        assert_eq!(read, write);
+        for (name, tensor) in net.parameters() {
+            assert!(
+                to_vec(tensor).iter().all(|&v| v == 0.0),
+                "{name} was not replaced"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_mild_head_starts_near_a_gaussian_of_one_pixel() {
+    for (name, device) in devices() {
+        let net = BpNet::new(&config(9, HeadInit::Mild), &device, DType::F32)
+            .expect("the configuration is valid");
+        let field = net
+            .forward(1, &inputs(12, 16, &device, DType::F32), Extractor::Trained)
+            .expect("the shapes fit");
+        for m in to_vec(field.intensity.clone()) {
+            assert!((m - 0.5).abs() < 0.05, "{name}: m starts at {m}");
+        }
+        for kernel in to_vec(field.kernel.clone()).chunks_exact(81) {
+            let variance: f64 = (0..81)
+                .map(|j| kernel[j] * (j as f64 % 9.0 - 4.0).powi(2))
+                .sum();
+            assert!((variance - 1.0).abs() < 0.2, "{name}: variance {variance}");
+        }
+        for shift in to_vec(centroid(&field)) {
+            assert!(
+                shift.abs() < 0.1,
+                "{name}: the blur starts off centre by {shift} px"
+            );
+        }
+    }
+}
+
+/// A loss whose gradient reaches every parameter.
+fn loss(net: &BpNet, inputs: &BlurInputs, extractor: Extractor) -> Tensor<1> {
+    let field = net.forward(1, inputs, extractor).expect("the shapes fit");
+    let output = composite(inputs.color.clone(), &field).expect("the shapes fit");
+    let target = (output.clone().detach() + 1.3).sin();
+    let cells = cell_means(centroid(&field), 2, 3);
+    (output - target).powi_scalar(2).mean()
+        + kernel_center_loss(&field) * 0.3
+        + (cells.clone() * cells).mean() * 10.0
+}
+
+#[test]
+fn kernel_and_intensity_learn_from_the_first_step() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let net = BpNet::new(&config(9, HeadInit::Mild), &device, DType::F32)
+            .expect("the configuration is valid");
+        let inputs = inputs(12, 16, &device, DType::F32);
+        let field = net
+            .forward(1, &inputs, Extractor::Trained)
+            .expect("the shapes fit");
+        // The photometric term alone: nothing else may be needed to leave the start.
+        let output = composite(inputs.color.clone(), &field).expect("the shapes fit");
+        let target = tensor::<3>(values(12 * 16 * 3, 9), [12, 16, 3], &device, DType::F32);
+        let grads = (output - target).abs().mean().backward();
+        for (parameter, tensor) in net.parameters() {
+            let gradient = tensor.grad(&grads).expect("every parameter is trained");
+            let norm = to_vec(gradient).iter().map(|g| g * g).sum::<f64>().sqrt();
+            assert!(
+                norm.is_finite(),
+                "{name}: gradient of {parameter} is {norm}"
+            );
+            let least = if parameter.starts_with("head.") {
+                1e-5
+            } else {
+                1e-8
+            };
+            assert!(
+                norm > least,
+                "{name}: gradient of {parameter} is only {norm:e}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_frozen_extractor_gets_no_gradient() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let net = BpNet::new(&config(5, HeadInit::Mild), &device, DType::F32)
+            .expect("the configuration is valid");
+        let inputs = inputs(8, 9, &device, DType::F32);
+        let trained = to_vec(loss(&net, &inputs, Extractor::Trained));
+        let frozen = loss(&net, &inputs, Extractor::Frozen);
+        assert_eq!(
+            to_vec(frozen.clone()),
+            trained,
+            "{name}: the values are the same"
+        );
+        let grads = frozen.backward();
+        for (parameter, tensor) in net.parameters() {
+            assert_eq!(
+                tensor.grad(&grads).is_none(),
+                BpNet::is_extractor(parameter),
+                "{name}: {parameter}"
+            );
+        }
+    }
+}
+
+#[test]
+fn nothing_flows_back_into_the_inputs_of_the_net() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let net = BpNet::new(&config(5, HeadInit::Mild), &device, DType::F32)
+            .expect("the configuration is valid");
+        let mut inputs = inputs(8, 9, &device, DType::F32);
+        inputs.color = inputs.color.require_grad();
+        inputs.disparity = inputs.disparity.require_grad();
+        inputs.mask = inputs.mask.require_grad();
+        let field = net
+            .forward(0, &inputs, Extractor::Trained)
+            .expect("the shapes fit");
+        let grads = (field.kernel.narrow(2, 3, 1).sum() + field.intensity.sum()).backward();
+        assert!(inputs.color.grad(&grads).is_none(), "{name}: colour");
+        assert!(inputs.disparity.grad(&grads).is_none(), "{name}: disparity");
+        assert!(inputs.mask.grad(&grads).is_none(), "{name}: mask");
+    }
+}
+
+#[test]
+fn the_whole_net_has_its_gradients() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        for shortcut in [true, false] {
+            let mut config = config(3, HeadInit::Framework);
+            config.shortcut = shortcut;
+            let net = BpNet::new(&config, &device, DType::F64).expect("the configuration is valid");
+            let inputs = inputs(4, 5, &device, DType::F64);
+            let grads = loss(&net, &inputs, Extractor::Trained).backward();
+            for (index, (parameter, tensor)) in net.parameters().into_iter().enumerate() {
+                let dims = tensor.dims();
+                let gradient = to_vec(tensor.grad(&grads).expect("every parameter is trained"));
+                let start = to_vec(tensor);
+                for seed in [20, 21] {
+                    let direction: Vec<f64> = values(start.len(), seed + index)
+                        .iter()
+                        .map(|v| v - 0.5)
+                        .collect();
+                    let expected: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+                    let at = |step: f64| -> f64 {
+                        let mut moved = net.clone();
+                        let values = start
+                            .iter()
+                            .zip(&direction)
+                            .map(|(v, d)| v + step * d)
+                            .collect();
+                        *moved.parameters_mut()[index].1 = tensor_like(values, dims, &device);
+                        moved_loss(&moved, &inputs, &net)
+                    };
+                    // ReLU bends: a step that crosses none of its kinks is small.
+                    let step = 1e-6;
+                    let numeric = (at(step) - at(-step)) / (2.0 * step);
+                    let scale = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+                    assert!(scale > 0.0, "{name}: {parameter} has no gradient");
+                    assert!(
+                        (numeric - expected).abs() < 2e-6 * scale.max(numeric.abs()) + 1e-9,
+                        "{name}: {parameter}, shortcut {shortcut}: {expected:e}, numeric {numeric:e}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+fn tensor_like(values: Vec<f64>, dims: [usize; 2], device: &Device) -> Tensor<2> {
+    tensor(values, dims, device, DType::F64)
+}
+
+/// The loss at moved parameters, with what the loss holds constant taken at the old ones.
+fn moved_loss(moved: &BpNet, inputs: &BlurInputs, fixed: &BpNet) -> f64 {
+    let at = |net: &BpNet| {
+        net.forward(1, inputs, Extractor::Frozen)
+            .expect("the shapes fit")
+    };
+    let (field, old) = (at(moved), at(fixed));
+    let output = composite(inputs.color.clone(), &field).expect("the shapes fit");
+    let target = (composite(inputs.color.clone(), &old).expect("the shapes fit") + 1.3).sin();
+    let cells = cell_means(centroid(&field), 2, 3);
+    let sparse = BlurField {
+        kernel: field.kernel,
+        intensity: old.intensity,
+    };
+    let loss = (output - target).powi_scalar(2).mean()
+        + kernel_center_loss(&sparse) * 0.3
+        + (cells.clone() * cells).mean() * 10.0;
+    to_vec(loss)[0]
+}
+
+#[test]
+fn single_precision_follows_double() {
+    for (name, device) in devices() {
+        let fields = [DType::F64, DType::F32].map(|dtype| {
+            let net = BpNet::new(&config(9, HeadInit::Framework), &device, dtype)
+                .expect("the configuration is valid");
+            let field = net
+                .forward(2, &inputs(20, 30, &device, dtype), Extractor::Trained)
+                .expect("the shapes fit");
+            (to_vec(field.kernel), to_vec(field.intensity))
+        });
+        let [(kernel, intensity), (single_kernel, single_intensity)] = fields;
+        for (a, b) in kernel.iter().zip(single_kernel) {
+            assert!(
+                (a - b).abs() < 1e-5 * (a + 0.01),
+                "{name}: kernel {a} and {b}"
+            );
+        }
+        for (a, b) in intensity.iter().zip(single_intensity) {
+            assert!((a - b).abs() < 1e-5, "{name}: intensity {a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn one_and_two_threads_give_the_same_bits() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let run = |threads: usize| -> Vec<Vec<f64>> {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .expect("threads can be started");
+            pool.install(|| {
+                let net = BpNet::new(&config(9, HeadInit::Mild), &device, DType::F32)
+                    .expect("the configuration is valid");
+                let mut inputs = inputs(50, 67, &device, DType::F32);
+                inputs.color = inputs.color.require_grad();
+                let loss = loss(&net, &inputs, Extractor::Trained);
+                let value = to_vec(loss.clone());
+                let grads = loss.backward();
+                let mut all = vec![value];
+                for (_, tensor) in net.parameters() {
+                    all.push(to_vec(
+                        tensor.grad(&grads).expect("every parameter is trained"),
+                    ));
+                }
+                all.push(to_vec(
+                    inputs.color.grad(&grads).expect("it reaches the picture"),
+                ));
+                all
+            })
+        };
+        assert_eq!(run(1), run(2), "{name}");
+    }
+}
+
+#[test]
+fn cells_cover_the_picture_whatever_its_size() {
+    for (name, device) in devices() {
+        // 5 columns in 2 cells: 0 to 2 and 2 to 4; 3 rows in 4 cells: 0, 0 to 1, 1 to 2, 2.
+        let map = (0..30).map(f64::from).collect();
+        let means = to_vec(cell_means(
+            tensor(map, [3, 5, 2], &device, DType::F64),
+            4,
+            2,
+        ));
+        let column = |first: f64| 2.0 * (first + 1.0);
+        for (row, middle) in [0.0, 0.5, 1.5, 2.0].into_iter().enumerate() {
+            for (col, first) in [0.0, 2.0].into_iter().enumerate() {
+                let expected = 10.0 * middle + column(first);
+                let cell = &means[(row * 2 + col) * 2..][..2];
+                assert!(
+                    (cell[0] - expected).abs() < 1e-12,
+                    "{name}: cell {row}, {col}"
+                );
+                assert!(
+                    (cell[1] - expected - 1.0).abs() < 1e-12,
+                    "{name}: cell {row}, {col}"
+                );
+            }
+        }
+        let one = cell_means(tensor(vec![3.0, 4.0], [1, 1, 2], &device, DType::F64), 4, 8);
+        assert_eq!(to_vec(one), [3.0, 4.0].repeat(32), "{name}");
+    }
+}
+
+#[test]
+fn sparsity_is_the_distance_from_the_centre_weight_to_its_target() {
+    for (name, device) in devices() {
+        let field = BlurField {
+            kernel: tensor(vec![1.0, 0.25, 0.5], [1, 3, 1], &device, DType::F64),
+            intensity: tensor(vec![0.0, 0.5, 1.0], [1, 3], &device, DType::F64),
+        };
+        let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
+        let expected = ((1.0 - sigmoid(5.0)) + (sigmoid(2.5) - 0.25)) / 3.0;
+        let loss = to_vec(kernel_center_loss(&field))[0];
+        assert!(
+            (loss - expected).abs() < 1e-12,
+            "{name}: {loss} against {expected}"
+        );
+    }
+}
+
+#[test]
+fn what_cannot_be_blurred_is_refused() {
+    for (_, device) in devices() {
+        for kernel_size in [0, 2, 8, 17, 1 << 40] {
+            let error = BpNet::new(&config(kernel_size, HeadInit::Mild), &device, DType::F32);
+            assert_eq!(error.err(), Some(BpNetError::KernelSize { kernel_size }));
+        }
+        let mut without = config(3, HeadInit::Mild);
+        without.num_frames = 0;
+        let error = BpNet::new(&without, &device, DType::F32).err();
+        assert_eq!(error, Some(BpNetError::NoFrames));
+        let error = BpNet::new(&config(3, HeadInit::Mild), &device, DType::F16).err();
+        assert!(matches!(error, Some(BpNetError::DType { .. })));
+
+        let zeros = |shape| Tensor::<3>::zeros(shape, (&device, DType::F32));
+        let even = blur(zeros([4, 4, 3]), zeros([4, 4, 16]));
+        assert_eq!(even.err(), Some(BpNetError::KernelSize { kernel_size: 4 }));
+        for (image, kernel) in [
+            ([4, 4, 3], [4, 4, 10]),
+            ([4, 4, 1], [4, 4, 9]),
+            ([4, 5, 3], [4, 4, 9]),
+        ] {
+            let error = blur(zeros(image), zeros(kernel)).err();
+            assert!(
+                matches!(error, Some(BpNetError::Shape { .. })),
+                "{image:?}, {kernel:?}"
+            );
+        }
+        let wide = Tensor::<3>::zeros([4, 4, 9], (&device, DType::F64));
+        let error = blur(zeros([4, 4, 3]), wide).err();
+        assert!(matches!(error, Some(BpNetError::MixedDType { .. })));
+
+        let net = BpNet::new(&config(3, HeadInit::Mild), &device, DType::F32)
+            .expect("the configuration is valid");
+        let good = inputs(3, 4, &device, DType::F32);
+        let error = net.forward(3, &good, Extractor::Frozen).err();
+        assert_eq!(
+            error,
+            Some(BpNetError::Frame {
+                frame: 3,
+                num_frames: 3
+            })
+        );
+        let mut wrong = good.clone();
+        wrong.mask = Tensor::zeros([4, 3], (&device, DType::F32));
+        let error = net.forward(0, &wrong, Extractor::Frozen).err();
+        assert!(matches!(
+            error,
+            Some(BpNetError::Shape { name: "mask", .. })
+        ));
+    }
+}
