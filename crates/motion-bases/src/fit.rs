@@ -281,7 +281,7 @@ fn posed(bases: &MotionBases, weights: Tensor<2>, means: Tensor<2>, extent: f64)
     })
 }
 
-/// The loss of step `step` of `num_steps` of the first fit, [1].
+/// The loss of step `step` of `num_steps` of the first fit, `[1]`.
 ///
 /// `coefficients` [P, B] and `means` [P, 3] belong to the tracks of [`MotionInit`], in their order.
 /// With P tracks over N frames, P N > 36,000, each step takes the next of ⌈P N / 36,000⌉ groups.

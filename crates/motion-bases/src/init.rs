@@ -41,7 +41,7 @@ pub struct MotionInit {
     pub tracks: Tracks3d,
     /// Their positions as they came in, [P * N]: what a hidden entry says about the pixel stands here.
     pub observed: Vec<DVec3>,
-    /// Which rows of the input were kept, [P].
+    /// Which rows of the input were kept, `[P]`.
     pub rows: Vec<usize>,
     /// Motion coefficients (logits), [P, B].
     pub coefficients: Vec<f32>,

@@ -11,7 +11,7 @@ pub(crate) const REST: f64 = 1e-6;
 /// Weight of the translations beside the 6D vectors in [`bases_acceleration`].
 const TRANSLATION_WEIGHT: f64 = 2.0;
 
-/// Acceleration of the bases, [1]: the mean length of the second differences over time of the 6D
+/// Acceleration of the bases, `[1]`: the mean length of the second differences over time of the 6D
 /// vectors, plus twice that of the translations divided by `scene_scale`.
 ///
 /// Zero for fewer than three frames. At rest it is zero and has a gradient of zero.
@@ -31,7 +31,7 @@ pub fn bases_acceleration(bases: &MotionBases, scene_scale: f64) -> Tensor<1> {
         + mean_acceleration(bases.transls.clone() / scene_scale, 3) * TRANSLATION_WEIGHT
 }
 
-/// Acceleration of means, [1]: the mean length of their second differences, divided by `scene_scale`.
+/// Acceleration of means, `[1]`: the mean length of their second differences, divided by `scene_scale`.
 ///
 /// `prev`, `cur` and `next` are [F, 3], the means in three consecutive frames. (The 0.5 that the
 /// method has here belongs to the weight.) Zero without Gaussians; at rest the gradient is zero.
@@ -49,7 +49,7 @@ pub fn means_acceleration(
     mean_length(acceleration.square().sum_dim(1))
 }
 
-/// Motion along the viewing ray, [1]: the mean square of the steps from `prev` to `cur` and from
+/// Motion along the viewing ray, `[1]`: the mean square of the steps from `prev` to `cur` and from
 /// `cur` to `next`, projected on the ray from the camera's centre to `cur`, divided by `scene_scale`.
 ///
 /// `prev`, `cur` and `next` are means [F, 3]. Depth from one view is the least certain coordinate,

@@ -18,7 +18,7 @@ pub struct Tracks3d {
     /// Confidence in [0, 1], [P * N]. Positive where `visible` is false means: known to be hidden
     /// behind something at this pixel.
     pub confidence: Vec<f32>,
-    /// Colours in [0, 1], [P].
+    /// Colours in [0, 1], `[P]`.
     pub colors: Vec<[f32; 3]>,
 }
 
