@@ -33,9 +33,9 @@ impl Reference {
     }
 
     fn get(&self, name: &str) -> Vec<f32> {
-        let file = SafeTensors::deserialize(&self.0).unwrap();
+        let file = SafeTensors::deserialize(&self.0).expect("a safetensors file");
         file.tensor(name)
-            .unwrap()
+            .expect("a tensor of that name")
             .data()
             .chunks_exact(4)
             .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))

@@ -3,13 +3,13 @@
 /// A set of Gaussians in storage space (what the 3DGS PLY format holds).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
-    /// Means in scene units, [N].
+    /// Means in scene units, `[N]`.
     pub means: Vec<[f32; 3]>,
-    /// Rotations as quaternions (w, x, y, z), not normalised, [N].
+    /// Rotations as quaternions (w, x, y, z), not normalised, `[N]`.
     pub quats: Vec<[f32; 4]>,
-    /// Natural logarithms of the scales (scene units), [N].
+    /// Natural logarithms of the scales (scene units), `[N]`.
     pub log_scales: Vec<[f32; 3]>,
-    /// Logits of the opacities, [N].
+    /// Logits of the opacities, `[N]`.
     pub opacity_logits: Vec<f32>,
     /// Spherical harmonics, [N, (degree + 1)², 3] row-major: coefficient-major, channel last.
     pub sh: Vec<f32>,

@@ -1,11 +1,18 @@
 //! The splatting op as a backend extension: adapters of a few lines around [`crate::cpu`].
 
+#![cfg_attr(
+    feature = "ndarray",
+    expect(
+        deprecated,
+        reason = "NdArray is kept as a second, independent CPU backend"
+    )
+)]
+
 use std::sync::Arc;
 
 #[cfg(feature = "flex")]
 use burn::backend::Flex;
 #[cfg(feature = "ndarray")]
-#[expect(deprecated, reason = "kept as a second, independent CPU backend")]
 use burn::backend::NdArray;
 use burn::backend::autodiff::{
     Autodiff,
@@ -162,7 +169,6 @@ impl SplatOps for Flex {
 }
 
 #[cfg(feature = "ndarray")]
-#[expect(deprecated, reason = "kept as a second, independent CPU backend")]
 impl SplatOps for NdArray {
     fn rasterize_splats(parents: Parents<Self>, job: RasterJob) -> FloatTensor<Self> {
         Self::float_from_data(job.output, &parents.means.device())

@@ -115,7 +115,7 @@ impl<T: HostFloat> Scene<T> {
 
 impl Prepared {
     /// Radius of every Gaussian in the image (three standard deviations of its longer axis), px,
-    /// [N]; 0 for Gaussians that are not drawn.
+    /// `[N]`; 0 for Gaussians that are not drawn.
     #[must_use]
     pub fn radii(&self) -> &[f32] {
         match &*self.0 {
@@ -223,7 +223,7 @@ impl Rendered {
     }
 
     /// Radius of every Gaussian in the image (three standard deviations of its longer axis), px,
-    /// [N]; 0 for Gaussians that are not drawn.
+    /// `[N]`; 0 for Gaussians that are not drawn.
     #[must_use]
     pub fn radii(&self) -> &[f32] {
         self.prepared.radii()
@@ -349,7 +349,7 @@ pub fn prepare(
 /// The gradient of the pose treats its twelve entries as free numbers, with the camera's centre as
 /// -Rᵀ t, and is skipped when the pose is not tracked.
 ///
-/// `features` [N, F] are blended like colours. `screen_grad` [N] takes no part in the image: when it
+/// `features` [N, F] are blended like colours. `screen_grad` `[N]` takes no part in the image: when it
 /// is tracked its "gradient" is each Gaussian's norm of the gradient of its mean in the image, in
 /// NDC units (v.x W/2, v.y H/2), the statistic of density control.
 ///

@@ -35,7 +35,7 @@ pub struct Gradients<T> {
     pub left_rotations: Vec<T>,
     /// [N, 3].
     pub log_scales: Vec<T>,
-    /// [N].
+    /// `[N]`.
     pub opacity_logits: Vec<T>,
     /// [N, B, 3].
     pub sh: Vec<T>,
@@ -43,7 +43,7 @@ pub struct Gradients<T> {
     pub features: Vec<T>,
     /// [3, 4], the pose's entries as twelve free numbers.
     pub cam_from_world: [T; 12],
-    /// Norm of the gradient of the mean in the image, in NDC units (half the image is 1), [N]:
+    /// Norm of the gradient of the mean in the image, in NDC units (half the image is 1), `[N]`:
     /// the statistic of density control.
     pub screen: Vec<T>,
 }

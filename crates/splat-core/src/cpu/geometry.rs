@@ -1,7 +1,7 @@
 //! One Gaussian's way from the world to an ellipse in the image, with all intermediate values, for
 //! the forward and the backward pass alike.
 
-use super::{LOW_PASS, Real, View};
+use super::{LOW_PASS, Real, SplatSlices, View};
 
 /// Below this a quaternion's norm counts as this much: a zero quaternion is the identity.
 const NORM_FLOOR: f64 = 1e-12;
@@ -151,16 +151,40 @@ pub(super) fn quaternion_gradient<T: Real>(g: &Geometry<T>, v: &[T; 9]) -> [T; 4
     std::array::from_fn(|k| (unit[k] - g.unit[k] * along) / g.norm)
 }
 
+/// What the projection of one Gaussian reads.
+pub(super) struct Shape<'a, T> {
+    pub(super) mean: [T; 3],
+    pub(super) quat: [T; 4],
+    /// Matrix multiplied from the left of the quaternion's.
+    pub(super) left: Option<&'a [T]>,
+    pub(super) log_scale: [T; 3],
+}
+
+impl<'a, T: Real> Shape<'a, T> {
+    #[inline(always)]
+    pub(super) fn of_row(splats: &SplatSlices<'a, T>, row: usize) -> Self {
+        Self {
+            mean: std::array::from_fn(|k| splats.means[3 * row + k]),
+            quat: std::array::from_fn(|k| splats.quats[4 * row + k]),
+            left: (row < splats.num_left()).then(|| &splats.left_rotations[9 * row..9 * row + 9]),
+            log_scale: std::array::from_fn(|k| splats.log_scales[3 * row + k]),
+        }
+    }
+}
+
 /// Projects a Gaussian; `None` when it is not in front of the near plane or overflows.
 #[inline(always)]
 pub(super) fn project_one<T: Real>(
     lens: &Lens<T>,
     pose: &[T; 12],
-    mean: [T; 3],
-    quat: [T; 4],
-    left: Option<&[T]>,
-    log_scale: [T; 3],
+    shape: &Shape<'_, T>,
 ) -> Option<Geometry<T>> {
+    let Shape {
+        mean,
+        quat,
+        left,
+        log_scale,
+    } = *shape;
     let point: [T; 3] = std::array::from_fn(|i| {
         pose[4 * i] * mean[0]
             + pose[4 * i + 1] * mean[1]

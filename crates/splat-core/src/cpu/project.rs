@@ -1,8 +1,9 @@
 //! Projection, culling and depth sort.
 
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::geometry::{Lens, project_one, view_direction};
+use super::geometry::{Lens, Shape, project_one, view_direction};
 use super::tiles::{TileLists, pixel_range};
 use super::{MIN_ALPHA, Real, SplatSlices, View, sh};
 use crate::SplatError;
@@ -74,7 +75,7 @@ impl<T: Real> Projection<T> {
     }
 
     /// Radius of every Gaussian in the image (three standard deviations of its longer axis), px,
-    /// [N]; 0 for Gaussians that are not drawn.
+    /// `[N]`; 0 for Gaussians that are not drawn.
     #[must_use]
     pub fn radii(&self) -> &[f32] {
         &self.radii
@@ -106,14 +107,16 @@ pub fn project<T: Real>(
     splats.check(view.sh_degree)?;
     let count = splats.len();
     let lens = Lens::new(view);
+    let arch = Arch::new();
     let chunks: Vec<Vec<(Splat<T>, Extent<T>)>> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
-            let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(count);
-            check_finite(splats, rows.clone())?;
-            Ok(rows
-                .filter_map(|row| project_row(splats, view, &lens, row))
-                .collect())
+            arch.dispatch(ProjectRows {
+                splats,
+                view,
+                lens: &lens,
+                rows: chunk * CHUNK..((chunk + 1) * CHUNK).min(count),
+            })
         })
         .collect::<Result<_, SplatError>>()?;
     let unsorted = chunks.concat();
@@ -147,21 +150,6 @@ pub fn project<T: Real>(
     })
 }
 
-/// The arguments of [`project_one`] for a row.
-#[inline(always)]
-pub(super) fn row_of<'a, T: Real>(
-    splats: &SplatSlices<'a, T>,
-    row: usize,
-) -> ([T; 3], [T; 4], Option<&'a [T]>, [T; 3]) {
-    let left = (row < splats.num_left()).then(|| &splats.left_rotations[9 * row..9 * row + 9]);
-    (
-        std::array::from_fn(|k| splats.means[3 * row + k]),
-        std::array::from_fn(|k| splats.quats[4 * row + k]),
-        left,
-        std::array::from_fn(|k| splats.log_scales[3 * row + k]),
-    )
-}
-
 /// SH + 0.5 per channel, before the clamp at 0.
 #[inline(always)]
 pub(super) fn sh_color<T: Real>(
@@ -181,6 +169,28 @@ pub(super) fn sh_color<T: Real>(
     color
 }
 
+struct ProjectRows<'a, T> {
+    splats: &'a SplatSlices<'a, T>,
+    view: &'a View<T>,
+    lens: &'a Lens<T>,
+    rows: std::ops::Range<usize>,
+}
+
+impl<T: Real> WithSimd for ProjectRows<'_, T> {
+    type Output = Result<Vec<(Splat<T>, Extent<T>)>, SplatError>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
+        check_finite(self.splats, self.rows.clone())?;
+        let mut visible = Vec::with_capacity(self.rows.len());
+        for row in self.rows {
+            visible.extend(project_row(self.splats, self.view, self.lens, row));
+        }
+        Ok(visible)
+    }
+}
+
+#[inline(always)]
 fn project_row<T: Real>(
     splats: &SplatSlices<'_, T>,
     view: &View<T>,
@@ -191,8 +201,8 @@ fn project_row<T: Real>(
     if opacity < T::of(MIN_ALPHA) {
         return None;
     }
-    let (mean, quat, left, log_scale) = row_of(splats, row);
-    let g = project_one(lens, &view.cam_from_world, mean, quat, left, log_scale)?;
+    let shape = Shape::of_row(splats, row);
+    let g = project_one(lens, &view.cam_from_world, &shape)?;
     let sigma_max = (opacity / T::of(MIN_ALPHA)).ln().max(T::ZERO);
     // Enlarged beyond rounding: the threshold is decided per pixel, not here.
     let reach =
@@ -202,7 +212,7 @@ fn project_row<T: Real>(
     pixel_range(mx - half_width, mx + half_width, view.camera.width)?;
     let (from, to) = pixel_range(my - half_height, my + half_height, view.camera.height)?;
 
-    let (direction, _) = view_direction(&view.cam_from_world, mean);
+    let (direction, _) = view_direction(&view.cam_from_world, shape.mean);
     let basis = sh::basis(view.sh_degree, direction);
     let used = sh::num_coefficients(view.sh_degree);
     let color =
@@ -240,6 +250,7 @@ pub(super) fn sigmoid<T: Real>(x: T) -> T {
 }
 
 /// Names the first input and row in `rows` that is not finite.
+#[inline(always)]
 fn check_finite<T: Real>(
     splats: &SplatSlices<'_, T>,
     rows: std::ops::Range<usize>,
@@ -265,6 +276,7 @@ fn check_finite<T: Real>(
 }
 
 /// Fails on the first row of `values` (rows of `width`, counted from `first`) that is not finite.
+#[inline(always)]
 pub(super) fn find_not_finite<T: Real>(
     tensor: &'static str,
     values: &[T],

@@ -1,13 +1,14 @@
 //! Backward of the projection: sums each Gaussian's partial gradients over its tiles and carries
 //! them on to the inputs.
 
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::geometry::{
-    Geometry, Lens, mul_transpose3, pose_rotation, project_one, quaternion_gradient,
+    Geometry, Lens, Shape, mul_transpose3, pose_rotation, project_one, quaternion_gradient,
     transpose_mul3, view_direction,
 };
-use super::project::{CHUNK, row_of, sh_color, sigmoid};
+use super::project::{CHUNK, sh_color, sigmoid};
 use super::raster_backward::GEOMETRIC;
 use super::{BackwardOptions, Gradients, Projection, Real, SplatSlices, sh};
 
@@ -78,7 +79,11 @@ pub(super) fn project_backward<T: Real>(
         partial,
         options,
     };
-    let poses: Vec<[T; 12]> = pieces.into_par_iter().map(|piece| job.run(piece)).collect();
+    let arch = Arch::new();
+    let poses: Vec<[T; 12]> = pieces
+        .into_par_iter()
+        .map(|piece| arch.dispatch(RunPiece { job: &job, piece }))
+        .collect();
     out.cam_from_world = tree_sum(&poses);
     out
 }
@@ -115,7 +120,22 @@ struct EllipseGradient<T> {
     depth: T,
 }
 
+struct RunPiece<'a, 'b, T> {
+    job: &'a Job<'a, T>,
+    piece: Piece<'b, T>,
+}
+
+impl<T: Real> WithSimd for RunPiece<'_, '_, T> {
+    type Output = [T; 12];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> [T; 12] {
+        self.job.run(self.piece)
+    }
+}
+
 impl<T: Real> Job<'_, T> {
+    #[inline(always)]
     fn run(&self, mut piece: Piece<'_, T>) -> [T; 12] {
         let mut pose = [T::ZERO; 12];
         let width = GEOMETRIC + 4 + self.num_features;
@@ -160,9 +180,10 @@ impl<T: Real> Job<'_, T> {
     ) {
         let view = &self.projection.view;
         let pose = &view.cam_from_world;
-        let (mean, quat, left, log_scale) = row_of(self.splats, row);
+        let shape = Shape::of_row(self.splats, row);
+        let mean = shape.mean;
         // It was visible, so this is `Some`; computing it again is cheaper than keeping it.
-        let Some(g) = project_one(&self.lens, pose, mean, quat, left, log_scale) else {
+        let Some(g) = project_one(&self.lens, pose, &shape) else {
             return;
         };
         let splat = &self.projection.splats[rank];
@@ -223,7 +244,7 @@ impl<T: Real> Job<'_, T> {
             }
         }
         let v_rotation = transpose_mul3(&rotation, &v_in_cam);
-        let v_quat = match left {
+        let v_quat = match shape.left {
             Some(l) => {
                 piece.left_rotations[9 * local..9 * local + 9]
                     .copy_from_slice(&mul_transpose3(&v_rotation, &g.quat_matrix));

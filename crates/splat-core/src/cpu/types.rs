@@ -18,7 +18,7 @@ pub struct SplatSlices<'a, T> {
     pub left_rotations: &'a [T],
     /// Natural logarithms of the scales, [N, 3].
     pub log_scales: &'a [T],
-    /// Logits of the opacities, [N].
+    /// Logits of the opacities, `[N]`.
     pub opacity_logits: &'a [T],
     /// Spherical harmonics, [N, B, 3] with B = (stored degree + 1)².
     pub sh: &'a [T],
