@@ -194,7 +194,9 @@ fn no_gaussian_is_no_error() {
 
 #[test]
 fn every_six_numbers_give_a_rotation_and_finite_gradients() {
-    let cases: [(&str, [f64; 6], Option<[f64; 9]>); 11] = [
+    // Name, six numbers, and the rotation where it is known.
+    type Case = (&'static str, [f64; 6], Option<[f64; 9]>);
+    let cases: [Case; 11] = [
         (
             "zeros",
             [0.0; 6],

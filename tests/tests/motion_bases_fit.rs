@@ -114,7 +114,7 @@ impl Fit {
             moments,
             rates: [1e-2, 3e-2 * init.extent, 1e-2, 1e-3 * init.extent],
             num_frames: n,
-            data: FitData::new(init, cameras, device, dtype).unwrap(),
+            data: FitData::new(init, cameras, device, dtype).expect("a camera per frame"),
         }
     }
 
