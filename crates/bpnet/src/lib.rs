@@ -22,6 +22,10 @@
 //! # Ok::<(), bpnet::BpNetError>(())
 //! ```
 
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
 mod backends;
 mod blur;
 mod cpu;
@@ -32,6 +36,10 @@ mod field;
 mod init;
 mod layers;
 mod net;
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
 mod ops;
 
 pub use blur::{MAX_KERNEL_SIZE, blur};

@@ -7,7 +7,8 @@ use burn::tensor::{DType, Element, Shape, TensorData};
 
 use crate::cpu::Real;
 use crate::cpu::blur::{self, BlurSize};
-use crate::cpu::conv::{self, ConvSize};
+use crate::cpu::conv::{ConvSize, conv};
+use crate::cpu::conv_backward::conv_backward;
 use crate::cpu::rows;
 use crate::ops::{BpNetBackwardOps, BpNetOps};
 
@@ -30,7 +31,6 @@ impl HostBackend for burn::backend::Flex {
 }
 
 #[cfg(feature = "ndarray")]
-#[expect(deprecated, reason = "kept as a second, independent CPU backend")]
 impl HostBackend for burn::backend::NdArray {
     fn elements<T: Real + Element>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]> {
         let data = burn::tensor::read_sync(
@@ -189,7 +189,7 @@ fn conv_on<T: Real + Element, B: HostBackend>(
     size: ConvSize,
     relu: bool,
 ) -> FloatTensor<B> {
-    let output = conv::conv(
+    let output = conv(
         &B::elements::<T>(&mut input),
         &B::elements::<T>(&mut weight),
         &B::elements::<T>(&mut bias),
@@ -209,7 +209,7 @@ fn conv_backward_on<T: Real + Element, B: HostBackend>(
     wanted: [bool; 3],
 ) -> [Option<FloatTensor<B>>; 3] {
     let [input_wanted, weight_wanted, bias_wanted] = wanted;
-    let gradients = conv::conv_backward(
+    let gradients = conv_backward(
         &B::elements::<T>(&mut input),
         &B::elements::<T>(&mut weight),
         output.as_mut().map(B::elements::<T>).as_deref(),

@@ -1,10 +1,9 @@
-//! Convolution with a bias and, if wanted, ReLU; its backward. A 1x1 convolution is a dense layer.
+//! Convolution with a bias and, if wanted, ReLU. A 1x1 convolution is a dense layer.
 //!
 //! Pictures are `[H, W, C]`, weights `[k * k * in, out]` with rows in the order (ky, kx, in), borders
 //! are zeros. A window's row is then k * in values in a row of memory, and the product needs no copy
 //! of the windows: a tile of pixels x two vectors of output channels stays in registers while the
-//! window's values are broadcast one by one. The gradient of the input is the same product with the
-//! window mirrored; that of the weights keeps a tile of weights in registers and walks over pixels.
+//! window's values are broadcast one by one.
 
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
@@ -13,10 +12,6 @@ use super::Real;
 
 /// Pixels of a row without borders (dense layers), which one task works on.
 const DENSE_ROW: usize = 252;
-/// Pieces of an image that the gradient of the weights is summed over.
-const BANDS: usize = 16;
-/// Pixels that the gradient of the weights takes at a time, so that they stay in the cache.
-const PIXELS: usize = 64;
 
 /// Sizes of a convolution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,7 +28,7 @@ pub(crate) struct ConvSize {
 
 impl ConvSize {
     /// A dense layer sees pixels in a row; their neighbourhood does not matter.
-    fn rows(self) -> Rows {
+    pub(super) fn rows(self) -> Rows {
         let half = self.kernel / 2;
         if half == 0 {
             let pixels = self.height * self.width;
@@ -53,22 +48,22 @@ impl ConvSize {
         }
     }
 
-    fn window_row(self) -> usize {
+    pub(super) fn window_row(self) -> usize {
         self.kernel * self.inputs
     }
 }
 
 /// Rows of pixels: `len` of them (the last row may have fewer), `stride` apart with their borders.
 #[derive(Clone, Copy, Debug)]
-struct Rows {
-    count: usize,
-    len: usize,
-    stride: usize,
-    pixels: usize,
+pub(super) struct Rows {
+    pub(super) count: usize,
+    pub(super) len: usize,
+    pub(super) stride: usize,
+    pub(super) pixels: usize,
 }
 
 impl Rows {
-    fn len_of(self, row: usize) -> usize {
+    pub(super) fn len_of(self, row: usize) -> usize {
         self.len.min(self.pixels - row * self.len)
     }
 }
@@ -91,68 +86,12 @@ pub(crate) fn conv<T: Real>(
     })
 }
 
-/// Gradients of a convolution's inputs, where they were wanted.
-pub(crate) struct ConvGradients<T> {
-    pub(crate) input: Option<Vec<T>>,
-    pub(crate) weight_and_bias: Option<(Vec<T>, Vec<T>)>,
-}
-
-/// Backward of [`conv`]; `output` is what it returned, where it ended in ReLU.
-pub(crate) fn conv_backward<T: Real>(
-    input: &[T],
-    weight: &[T],
-    output: Option<&[T]>,
-    gradient: &[T],
-    size: ConvSize,
-    [input_wanted, weight_wanted]: [bool; 2],
-) -> ConvGradients<T> {
-    let masked: Option<Vec<T>> = output.map(|output| {
-        let mut masked = vec![T::ZERO; gradient.len()];
-        let rows = DENSE_ROW * size.outputs;
-        masked
-            .par_chunks_mut(rows)
-            .zip(gradient.par_chunks(rows).zip(output.par_chunks(rows)))
-            .for_each(|(masked, (gradient, output))| {
-                for (m, (&g, &o)) in masked.iter_mut().zip(gradient.iter().zip(output)) {
-                    *m = if o > T::ZERO { g } else { T::ZERO };
-                }
-            });
-        masked
-    });
-    let gradient = masked.as_deref().unwrap_or(gradient);
-    let input_gradient = input_wanted.then(|| {
-        let mirrored = ConvSize {
-            inputs: size.outputs,
-            outputs: size.inputs,
-            ..size
-        };
-        let taps = size.kernel * size.kernel;
-        pulp::Arch::new().dispatch(Forward {
-            input: &padded(gradient, size.outputs, size),
-            weight: |row: usize, output: usize| {
-                let (tap, channel) = (row / size.outputs, row % size.outputs);
-                weight[((taps - 1 - tap) * size.inputs + output) * size.outputs + channel]
-            },
-            bias: None,
-            size: mirrored,
-            relu: false,
-        })
-    });
-    let weight_and_bias = weight_wanted.then(|| {
-        pulp::Arch::new().dispatch(WeightGradient {
-            input: &padded(input, size.inputs, size),
-            gradient,
-            size,
-        })
-    });
-    ConvGradients {
-        input: input_gradient,
-        weight_and_bias,
-    }
-}
-
 /// The picture with a border of zeros, half a window wide; as it is where there is none.
-fn padded<T: Real>(picture: &[T], channels: usize, size: ConvSize) -> std::borrow::Cow<'_, [T]> {
+pub(super) fn padded<T: Real>(
+    picture: &[T],
+    channels: usize,
+    size: ConvSize,
+) -> std::borrow::Cow<'_, [T]> {
     let half = size.kernel / 2;
     if half == 0 || picture.is_empty() {
         return picture.into();
@@ -170,14 +109,14 @@ fn padded<T: Real>(picture: &[T], channels: usize, size: ConvSize) -> std::borro
 }
 
 /// The product of a forward pass, or of the gradient of the input.
-struct Forward<'a, T, W> {
+pub(super) struct Forward<'a, T, W> {
     /// With borders.
-    input: &'a [T],
+    pub(super) input: &'a [T],
     /// The weight at (row, output).
-    weight: W,
-    bias: Option<&'a [T]>,
-    size: ConvSize,
-    relu: bool,
+    pub(super) weight: W,
+    pub(super) bias: Option<&'a [T]>,
+    pub(super) size: ConvSize,
+    pub(super) relu: bool,
 }
 
 impl<T: Real, W: Fn(usize, usize) -> T> WithSimd for Forward<'_, T, W> {
@@ -312,199 +251,23 @@ impl<T: Real> ForwardRow<'_, T> {
     }
 }
 
-/// Gradients of weight and bias.
-struct WeightGradient<'a, T> {
-    /// With borders.
-    input: &'a [T],
-    gradient: &'a [T],
-    size: ConvSize,
-}
-
-impl<T: Real> WithSimd for WeightGradient<'_, T> {
-    type Output = (Vec<T>, Vec<T>);
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> (Vec<T>, Vec<T>) {
-        let Self {
-            input,
-            gradient,
-            size,
-        } = self;
-        let rows = size.rows();
-        let taps = size.kernel * size.window_row();
-        let block = 2 * T::lanes::<S>();
-        let columns = size.outputs.next_multiple_of(block);
-        let per_band = rows.count.div_ceil(BANDS).max(1);
-        let parts: Vec<Vec<T>> = (0..rows.count.div_ceil(per_band))
-            .into_par_iter()
-            .map(|band| {
-                let mut part = vec![T::ZERO; (taps + 1) * columns];
-                simd.vectorize(WeightGradientBand {
-                    input,
-                    gradient,
-                    size,
-                    rows,
-                    range: band * per_band..((band + 1) * per_band).min(rows.count),
-                    part: &mut part,
-                });
-                part
-            })
-            .collect();
-        let mut sum = vec![T::ZERO; (taps + 1) * size.outputs];
-        sum.par_chunks_mut(size.outputs)
-            .enumerate()
-            .for_each(|(row, sum)| {
-                for part in &parts {
-                    for (sum, &value) in sum.iter_mut().zip(&part[row * columns..]) {
-                        *sum += value;
-                    }
-                }
-            });
-        let bias = sum.split_off(taps * size.outputs);
-        (sum, bias)
-    }
-}
-
-struct WeightGradientBand<'a, T> {
-    input: &'a [T],
-    gradient: &'a [T],
-    size: ConvSize,
-    rows: Rows,
-    range: std::ops::Range<usize>,
-    /// `[taps + 1, columns]`, the last row for the bias.
-    part: &'a mut [T],
-}
-
-impl<T: Real> WithSimd for WeightGradientBand<'_, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self {
-            input,
-            gradient,
-            size,
-            rows,
-            range,
-            part,
-        } = self;
-        let block = 2 * T::lanes::<S>();
-        let columns = size.outputs.next_multiple_of(block);
-        let len = size.window_row();
-        let taps = size.kernel * len;
-        let mut tile = vec![T::ZERO; PIXELS * columns];
-        for row in range {
-            for first in (0..rows.len_of(row)).step_by(PIXELS) {
-                let pixels = PIXELS.min(rows.len_of(row) - first);
-                let start = (row * rows.len + first) * size.outputs;
-                let source = &gradient[start..start + pixels * size.outputs];
-                for (target, source) in tile
-                    .chunks_exact_mut(columns)
-                    .zip(source.chunks_exact(size.outputs))
-                {
-                    target[..size.outputs].copy_from_slice(source);
-                    for (sum, &value) in part[taps * columns..].iter_mut().zip(source) {
-                        *sum += value;
-                    }
-                }
-                let tile = &tile[..pixels * columns];
-                for ky in 0..size.kernel {
-                    let window = &input[((row + ky) * rows.stride + first) * size.inputs..];
-                    let part = &mut part[ky * len * columns..][..len * columns];
-                    for column in (0..columns).step_by(block) {
-                        let mut j = 0;
-                        while j + 12 <= len {
-                            accumulate::<T, S, 12>(
-                                simd,
-                                &window[j..],
-                                size.inputs,
-                                tile,
-                                columns,
-                                column,
-                                &mut part[j * columns..],
-                            );
-                            j += 12;
-                        }
-                        while j + 4 <= len {
-                            accumulate::<T, S, 4>(
-                                simd,
-                                &window[j..],
-                                size.inputs,
-                                tile,
-                                columns,
-                                column,
-                                &mut part[j * columns..],
-                            );
-                            j += 4;
-                        }
-                        while j < len {
-                            accumulate::<T, S, 1>(
-                                simd,
-                                &window[j..],
-                                size.inputs,
-                                tile,
-                                columns,
-                                column,
-                                &mut part[j * columns..],
-                            );
-                            j += 1;
-                        }
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// Adds the outer products of J window values and two vectors of gradient, over the pixels of a tile.
-#[inline(always)]
-fn accumulate<T: Real, S: Simd, const J: usize>(
-    simd: S,
-    window: &[T],
-    inputs: usize,
-    tile: &[T],
-    columns: usize,
-    column: usize,
-    part: &mut [T],
-) {
-    let lanes = T::lanes::<S>();
-    let mut sums = [[T::splat(simd, T::ZERO); 2]; J];
-    let pixels = tile.len() / columns;
-    // Checked once here, so that the loop has no way out that would force the sums into memory.
-    let window = &window[..(pixels - 1) * inputs + J];
-    for pixel in 0..pixels {
-        let gradient = &tile[pixel * columns + column..][..2 * lanes];
-        let (gradient, _) = T::as_vectors::<S>(gradient);
-        let (g0, g1) = (gradient[0], gradient[1]);
-        let values = &window[pixel * inputs..][..J];
-        for j in 0..J {
-            let value = T::splat(simd, values[j]);
-            sums[j][0] = T::mul_add(simd, value, g0, sums[j][0]);
-            sums[j][1] = T::mul_add(simd, value, g1, sums[j][1]);
-        }
-    }
-    // Copied out one by one, so that no index that varies forces the sums into memory.
-    let stored: [[T::Vector<S>; 2]; J] = std::array::from_fn(|j| sums[j]);
-    for (j, sum) in stored.iter().enumerate() {
-        let values: &[T] = bytemuck::cast_slice(sum);
-        for (target, &value) in part[j * columns + column..].iter_mut().zip(values) {
-            *target += value;
-        }
-    }
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// Values without a pattern, in [-1, 1].
-    fn values(count: usize, seed: usize) -> Vec<f64> {
+    pub(in crate::cpu) fn values(count: usize, seed: usize) -> Vec<f64> {
         (0..count)
             .map(|i| (((i * 7919 + seed * 104_729) % 10_007) as f64 / 5003.0 - 1.0).sin())
             .collect()
     }
 
-    fn naive(input: &[f64], weight: &[f64], bias: &[f64], size: ConvSize) -> Vec<f64> {
+    pub(in crate::cpu) fn naive(
+        input: &[f64],
+        weight: &[f64],
+        bias: &[f64],
+        size: ConvSize,
+    ) -> Vec<f64> {
         let half = size.kernel as isize / 2;
         let mut output = Vec::new();
         for y in 0..size.height as isize {
@@ -533,10 +296,6 @@ mod tests {
         output
     }
 
-    fn dot(a: &[f64], b: &[f64]) -> f64 {
-        a.iter().zip(b).map(|(a, b)| a * b).sum()
-    }
-
     fn narrow(values: &[f64]) -> Vec<f32> {
         values.iter().map(|&v| v as f32).collect()
     }
@@ -555,7 +314,7 @@ mod tests {
         (3, 200, 13, 82, 1),
     ];
 
-    fn sizes() -> impl Iterator<Item = ConvSize> {
+    pub(in crate::cpu) fn sizes() -> impl Iterator<Item = ConvSize> {
         SIZES
             .into_iter()
             .map(|(height, width, inputs, outputs, kernel)| ConvSize {
@@ -598,79 +357,5 @@ mod tests {
                 );
             }
         }
-    }
-
-    #[test]
-    fn the_backward_is_the_adjoint() {
-        for size in sizes() {
-            let pixels = size.height * size.width;
-            let taps = size.kernel * size.kernel * size.inputs;
-            let input = values(pixels * size.inputs, 1);
-            let weight = values(taps * size.outputs, 2);
-            let gradient = values(pixels * size.outputs, 4);
-            let zero = vec![0.0; size.outputs];
-            let gradients = conv_backward(&input, &weight, None, &gradient, size, [true, true]);
-            let (weight_gradient, bias_gradient) =
-                gradients.weight_and_bias.expect("it was wanted");
-            let input_gradient = gradients.input.expect("it was wanted");
-            // Linear in each of input, weight and bias: <g, conv(direction)> = <gradient, direction>.
-            for seed in 5..8 {
-                let near = |a: f64, b: f64| (a - b).abs() < 1e-9 * (1.0 + a.abs());
-                let direction = values(input.len(), seed);
-                let change = dot(&gradient, &naive(&direction, &weight, &zero, size));
-                assert!(
-                    near(change, dot(&input_gradient, &direction)),
-                    "input, {size:?}"
-                );
-                let direction = values(weight.len(), seed);
-                let change = dot(&gradient, &naive(&input, &direction, &zero, size));
-                assert!(
-                    near(change, dot(&weight_gradient, &direction)),
-                    "weight, {size:?}"
-                );
-                let direction = values(size.outputs, seed);
-                let change = dot(
-                    &gradient,
-                    &naive(&input, &vec![0.0; weight.len()], &direction, size),
-                );
-                assert!(
-                    near(change, dot(&bias_gradient, &direction)),
-                    "bias, {size:?}"
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn relu_stops_gradients_where_it_cut() {
-        let size = ConvSize {
-            height: 1,
-            width: 2,
-            inputs: 1,
-            outputs: 1,
-            kernel: 1,
-        };
-        let output = conv(&[2.0, -2.0], &[3.0], &[0.5], size, true);
-        assert_eq!(output, [6.5, 0.0]);
-        let gradients = conv_backward(
-            &[2.0, -2.0],
-            &[3.0],
-            Some(&output),
-            &[1.0, 1.0],
-            size,
-            [true, true],
-        );
-        assert_eq!(gradients.input, Some(vec![3.0, 0.0]));
-        assert_eq!(gradients.weight_and_bias, Some((vec![2.0], vec![1.0])));
-        assert!(
-            conv(
-                &[f32::NAN],
-                &[1.0],
-                &[0.0],
-                ConvSize { width: 1, ..size },
-                true
-            )[0]
-            .is_nan()
-        );
     }
 }

@@ -5,6 +5,7 @@
 
 pub(crate) mod blur;
 pub(crate) mod conv;
+pub(crate) mod conv_backward;
 pub(crate) mod rows;
 
 use std::fmt::Debug;
