@@ -39,7 +39,11 @@ fn trace(time: f64, pixel: DVec2) -> ([f64; 3], f64, bool) {
     }
     let p = at(WALL);
     let s = (6.0 * p.x).sin() * (5.0 * p.y).sin();
-    ([0.4 + 0.3 * s, 0.5 - 0.2 * s, 0.5 + 0.3 * (4.0 * p.x).cos()], WALL, false)
+    (
+        [0.4 + 0.3 * s, 0.5 - 0.2 * s, 0.5 + 0.3 * (4.0 * p.x).cos()],
+        WALL,
+        false,
+    )
 }
 
 fn picture(time: f64, exposure: f64) -> Image {
@@ -56,16 +60,27 @@ fn picture(time: f64, exposure: f64) -> Image {
         }
         pixels.extend(sum.map(|c| c as f32));
     }
-    Image { width: WIDTH, height: HEIGHT, pixels }
+    Image {
+        width: WIDTH,
+        height: HEIGHT,
+        pixels,
+    }
 }
 
 fn scene() -> Scene {
     let map = |time: f64, of: fn(f64, bool) -> f64| {
         let values = (0..WIDTH * HEIGHT).map(|i| {
-            let (_, depth, patch) = trace(time, DVec2::new((i % WIDTH) as f64 + 0.5, (i / WIDTH) as f64 + 0.5));
+            let (_, depth, patch) = trace(
+                time,
+                DVec2::new((i % WIDTH) as f64 + 0.5, (i / WIDTH) as f64 + 0.5),
+            );
             of(depth, patch) as f32
         });
-        Some(Map { width: WIDTH, height: HEIGHT, values: values.collect() })
+        Some(Map {
+            width: WIDTH,
+            height: HEIGHT,
+            values: values.collect(),
+        })
     };
     let view = |index: usize, exposure: f64| View {
         name: format!("{index:05}"),
@@ -94,7 +109,10 @@ fn scene() -> Scene {
                 });
             }
         }
-        QueryTracks { frame: query, samples }
+        QueryTracks {
+            frame: query,
+            samples,
+        }
     });
     Scene {
         root: std::env::temp_dir(),
@@ -104,14 +122,20 @@ fn scene() -> Scene {
         frames: frames.collect(),
         test: (0..FRAMES).map(|i| view(i, 0.0)).collect(),
         points: Vec::new(),
-        tracks: Some(Tracks { num_frames: FRAMES, queries: queries.collect() }),
+        tracks: Some(Tracks {
+            num_frames: FRAMES,
+            queries: queries.collect(),
+        }),
         notes: Vec::new(),
     }
 }
 
 /// Every event of the schedule falls into the first 60 iterations.
 fn settings() -> Settings {
-    let mut settings = Settings { iterations: 200, ..Settings::default() };
+    let mut settings = Settings {
+        iterations: 200,
+        ..Settings::default()
+    };
     settings.motion.num_bases = 4;
     settings.motion.first_fit_steps = 40;
     settings.blur.hold = 0;
@@ -123,7 +147,9 @@ fn settings() -> Settings {
 /// The bits of all parameters, and the losses, after `steps` iterations.
 fn train(device: &Device, steps: usize) -> (Vec<f64>, Vec<(String, Vec<u32>)>) {
     let mut trainer = Trainer::new(scene(), settings(), device).expect("a trainer");
-    let losses = (0..steps).map(|_| trainer.step().expect("a step").loss).collect();
+    let losses = (0..steps)
+        .map(|_| trainer.step().expect("a step").loss)
+        .collect();
     (losses, bits(&trainer))
 }
 
@@ -138,14 +164,22 @@ fn bits(trainer: &Trainer) -> Vec<(String, Vec<u32>)> {
 }
 
 fn in_pool<T: Send>(threads: usize, f: impl FnOnce() -> T + Send) -> T {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool").install(f)
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("a pool")
+        .install(f)
 }
 
 fn assert_same(a: &[(String, Vec<u32>)], b: &[(String, Vec<u32>)], what: &str) {
     assert_eq!(a.len(), b.len(), "{what}: number of parameters");
     for ((name, left), (_, right)) in a.iter().zip(b) {
         let differing = left.iter().zip(right).filter(|(x, y)| x != y).count();
-        assert!(left.len() == right.len() && differing == 0, "{what}: {differing} of {} values of {name} differ", left.len());
+        assert!(
+            left.len() == right.len() && differing == 0,
+            "{what}: {differing} of {} values of {name} differ",
+            left.len()
+        );
     }
 }
 
@@ -153,26 +187,60 @@ fn assert_same(a: &[(String, Vec<u32>)], b: &[(String, Vec<u32>)], what: &str) {
 fn sixty_steps_lower_the_loss_and_use_every_part() {
     for (name, device) in devices() {
         let mut trainer = Trainer::new(scene(), settings(), &device).expect("a trainer");
-        assert!(trainer.survey().movers, "{name}: {:?}", trainer.survey().notes);
+        assert!(
+            trainer.survey().movers,
+            "{name}: {:?}",
+            trainer.survey().notes
+        );
         let start = trainer.model().clone();
         let mut terms = std::collections::BTreeSet::new();
         let mut losses = Vec::new();
         for _ in 0..60 {
             let report = trainer.step().expect("a step");
             terms.extend(report.terms.iter().map(|(term, _)| *term));
-            losses.push(report.terms.iter().filter(|(term, _)| *term == "image").map(|(_, v)| v).sum::<f64>());
+            losses.push(
+                report
+                    .terms
+                    .iter()
+                    .filter(|(term, _)| *term == "image")
+                    .map(|(_, v)| v)
+                    .sum::<f64>(),
+            );
         }
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-        assert!(mean(&losses[50..]) < 0.8 * mean(&losses[..10]), "{name}: {losses:?}");
-        let wanted = ["along_ray", "bases_acceleration", "depth", "gauge", "image", "mask", "means_acceleration"];
+        assert!(
+            mean(&losses[50..]) < 0.8 * mean(&losses[..10]),
+            "{name}: {losses:?}"
+        );
+        let wanted = [
+            "along_ray",
+            "bases_acceleration",
+            "depth",
+            "gauge",
+            "image",
+            "mask",
+            "means_acceleration",
+        ];
         for term in wanted {
             assert!(terms.contains(term), "{name}: no term {term} in {terms:?}");
         }
-        assert!(trainer.model().num_dynamic > start.num_dynamic, "{name}: dynamic densification adds Gaussians");
+        assert!(
+            trainer.model().num_dynamic > start.num_dynamic,
+            "{name}: dynamic densification adds Gaussians"
+        );
         for (parameter, after) in trainer.model().parameters() {
-            let before = start.parameters().into_iter().find(|(n, _)| *n == parameter).expect("same names").1;
+            let before = start
+                .parameters()
+                .into_iter()
+                .find(|(n, _)| *n == parameter)
+                .expect("same names")
+                .1;
             let moved = before.dims() != after.dims()
-                || (before.inner() - after.inner()).abs().max().into_scalar::<f32>() > 0.0;
+                || (before.inner() - after.inner())
+                    .abs()
+                    .max()
+                    .into_scalar::<f32>()
+                    > 0.0;
             assert!(moved, "{name}: {parameter} has not moved");
         }
     }
@@ -199,7 +267,10 @@ fn saving_and_loading_in_the_middle_changes_no_bit() {
         trainer.save(folder.path()).expect("saved");
         let mut resumed = Trainer::load(folder.path(), scene(), &device).expect("loaded");
         for _ in 0..8 {
-            let (a, b) = (trainer.step().expect("a step"), resumed.step().expect("a step"));
+            let (a, b) = (
+                trainer.step().expect("a step"),
+                resumed.step().expect("a step"),
+            );
             assert_eq!(a, b, "{name}");
         }
         assert_same(&bits(&trainer), &bits(&resumed), name);
@@ -216,14 +287,21 @@ fn a_broken_checkpoint_is_an_error_that_names_the_file() {
     let whole = std::fs::read(&file).expect("bytes");
     for length in [0, 7, 100, whole.len() / 2, whole.len() - 1] {
         std::fs::write(&file, &whole[..length]).expect("written");
-        let error = Trainer::load(folder.path(), scene(), &device).expect_err("truncated").to_string();
+        let error = Trainer::load(folder.path(), scene(), &device)
+            .expect_err("truncated")
+            .to_string();
         assert!(error.contains("state.safetensors"), "{error}");
     }
     std::fs::write(&file, &whole).expect("written");
     let mut shorter = scene();
     shorter.frames.pop();
-    let error = Trainer::load(folder.path(), shorter, &device).expect_err("another scene").to_string();
-    assert!(error.contains("6 frames") && error.contains("has 5"), "{error}");
+    let error = Trainer::load(folder.path(), shorter, &device)
+        .expect_err("another scene")
+        .to_string();
+    assert!(
+        error.contains("6 frames") && error.contains("has 5"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -241,8 +319,16 @@ fn a_static_scene_without_blur_models_neither() {
     for _ in 0..30 {
         trainer.step().expect("a step");
     }
-    let names: Vec<String> = trainer.model().parameters().into_iter().map(|(name, _)| name).collect();
-    assert!(names.iter().all(|name| name.starts_with("gaussians.")), "{names:?}");
+    let names: Vec<String> = trainer
+        .model()
+        .parameters()
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect();
+    assert!(
+        names.iter().all(|name| name.starts_with("gaussians.")),
+        "{names:?}"
+    );
     let evaluation = trainer.evaluate().expect("scores");
     assert_eq!(evaluation.kernel_centroid_px, None);
     assert!(evaluation.test.expect("test views").psnr > 15.0);
