@@ -11,13 +11,16 @@ use burn::tensor::Device;
 /// Each test of tensor code runs on every entry of this list.
 #[must_use]
 pub fn devices() -> Vec<(&'static str, Device)> {
-    let mut devices = Vec::new();
-    #[cfg(feature = "flex")]
-    devices.push(("flex", Device::flex()));
-    #[cfg(feature = "ndarray")]
-    {
-        #[expect(deprecated, reason = "kept as a second, independent CPU backend")]
-        devices.push(("ndarray", Device::ndarray()));
-    }
-    devices
+    vec![
+        #[cfg(feature = "flex")]
+        ("flex", Device::flex()),
+        #[cfg(feature = "ndarray")]
+        ("ndarray", ndarray()),
+    ]
+}
+
+#[cfg(feature = "ndarray")]
+#[expect(deprecated, reason = "kept as a second, independent CPU backend")]
+fn ndarray() -> Device {
+    Device::ndarray()
 }

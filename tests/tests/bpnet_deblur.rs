@@ -261,7 +261,7 @@ fn known_blur_is_taken_out_and_the_intensity_neither_dies_nor_saturates() {
         "{before:.2} dB before, {after:.2} dB after, m {:.2?}, shift {:.3?} px",
         outcome.mean_intensity, outcome.shift
     );
-    println!("{figures}");
+    eprintln!("{figures}");
     for m in &outcome.mean_intensity {
         assert!((0.05..0.98).contains(m), "{figures}");
     }
@@ -282,7 +282,7 @@ fn the_gauge_takes_a_common_shift_of_the_kernels_out() {
         learn(&frames, &mean, &recipe, &device()).shift
     };
     let (with, without) = (shift(0.1), shift(0.0));
-    println!("shift with the gauge {with:.3?} px, without {without:.3?} px");
+    eprintln!("shift with the gauge {with:.3?} px, without {without:.3?} px");
     assert!(without[0] > 0.2, "nothing else takes it out: {without:?}");
     assert!(with.iter().all(|s| s.abs() < 0.1), "it remains: {with:?}");
 }

@@ -178,7 +178,7 @@ fn frames_are_in_the_order_of_their_numbers() {
     )
     .unwrap();
     rewrite(folder.path(), |t| {
-        t["frames"][1]["file_path"] = "images/f10.png".into()
+        t["frames"][1]["file_path"] = "images/f10.png".into();
     });
     let scene = Scene::open(folder.path()).unwrap();
     assert_eq!(names(&scene).0, ["f0", "f2", "f3", "f10"]);

@@ -77,10 +77,15 @@ fn tracks_in_masks(scene: &Scene) -> f64 {
 fn check_rendered(scene: &Scene, num_frames: usize, moving: bool) {
     assert_eq!(
         (scene.frames.len(), scene.test.len()),
-        (num_frames, num_frames)
+        (num_frames, num_frames),
+        "training frames and test views"
     );
     for (i, (frame, view)) in scene.frames.iter().zip(&scene.test).enumerate() {
-        assert_eq!((frame.view.time, view.time), (i as f32, i as f32));
+        assert_eq!(
+            (frame.view.time, view.time),
+            (i as f32, i as f32),
+            "times of pair {i}"
+        );
         let right = frame
             .view
             .cam_from_world
@@ -89,11 +94,11 @@ fn check_rendered(scene: &Scene, num_frames: usize, moving: bool) {
             (right.x - 0.3).abs() < 1e-6 && right.y.abs() < 1e-6,
             "{right}"
         );
-        assert_eq!(frame.mask.is_some(), moving);
+        assert_eq!(frame.mask.is_some(), moving, "mask of frame {i}");
     }
     let error = points_against_depth(scene);
     assert!(error < 0.03, "points and depth differ by {error}");
-    assert_eq!(scene.tracks.is_some(), moving);
+    assert_eq!(scene.tracks.is_some(), moving, "tracks");
     if moving {
         let share = tracks_in_masks(scene);
         // These tracks have outliers and wrong visibility, and the masks are off by a pixel or two.
@@ -103,12 +108,20 @@ fn check_rendered(scene: &Scene, num_frames: usize, moving: bool) {
         );
     }
     let truth = scene.truth().unwrap();
-    assert_eq!(truth.sharp.map(|s| s.len()), Some(num_frames));
+    assert_eq!(
+        truth.sharp.map(|s| s.len()),
+        Some(num_frames),
+        "sharp frames"
+    );
     let covisible = truth.covisible.unwrap();
     let seen = covisible.iter().flat_map(|m| &m.values).sum::<f32>();
     let share = seen / (num_frames * covisible[0].values.len()) as f32;
     assert!(share > 0.9 && share < 1.0, "co-visible share {share}");
-    assert_eq!(truth.masks_test.map(|m| m.len()), Some(num_frames));
+    assert_eq!(
+        truth.masks_test.map(|m| m.len()),
+        Some(num_frames),
+        "test masks"
+    );
 }
 
 #[test]
