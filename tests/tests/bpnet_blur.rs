@@ -42,7 +42,7 @@ fn the_blur_has_the_gradients_of_image_and_kernel() {
             let pixels = height * width;
             let image = values(pixels * 3, 1);
             let kernel: Vec<f64> = values(pixels * k * k, 2).iter().map(|v| v + 0.1).collect();
-            println!("{name}: {height} x {width}, K = {k}");
+            eprintln!("{name}: {height} x {width}, K = {k}");
             let loss = |image: Tensor<2>, kernel: Tensor<2>| {
                 let image = image.reshape([height, width, 3]);
                 let kernel = kernel.reshape([height, width, k * k]);
