@@ -135,11 +135,14 @@ impl Scene {
                 options,
             );
         }
-        let found: Vec<_> = parts.iter().filter(|p| root.join(p).is_dir()).collect();
+        let found = match parts.iter().find(|part| root.join(part).is_dir()) {
+            Some(part) => format!("only {part}/ is there"),
+            None => "none of these is there".to_owned(),
+        };
         Err(IoError::Unrecognised {
             looked_for: format!(
                 "looked for transforms.json (nerfstudio), and for images/ with flow3d_preprocessed/ \
-                 (Shape-of-Motion); of these there is {found:?}"
+                 (Shape-of-Motion); {found}"
             ),
             path: dir.into(),
         })

@@ -75,7 +75,6 @@ impl Backend {
                 let device = Device::ndarray();
                 Ok(device)
             }
-            #[cfg(feature = "wgpu")]
             Self::Wgpu => Err("--backend wgpu: the splatting and blur kernels for the GPU do not exist yet; \
                 use --backend flex"
                 .into()),

@@ -29,28 +29,32 @@ struct Metrics<'a> {
     settings: &'a Settings,
 }
 
-/// Makes the folder, or refuses one that holds another run's results; with `force` those are removed, and nothing else.
-pub(crate) fn prepare_folder(out: &Path, force: bool) -> Result<(), Failure> {
-    for name in RESULTS {
-        let path = out.join(name);
-        if !path.exists() {
-            continue;
-        }
-        if !force {
-            return Err(format!(
-                "{} holds the results of another run ({name}); --resume goes on with it, --force replaces it, --out chooses another folder",
-                out.display()
-            )
-            .into());
-        }
+/// Refuses a folder that holds another run's results.
+pub(crate) fn refuse_results(out: &Path) -> Result<(), Failure> {
+    match RESULTS.iter().find(|name| out.join(name).exists()) {
+        None => Ok(()),
+        Some(name) => Err(format!(
+            "{} holds the results of another run ({name}); --resume goes on with it, --force replaces it, --out chooses another folder",
+            out.display()
+        )
+        .into()),
+    }
+}
+
+/// Makes the folder, and removes another run's results from it, but nothing else.
+pub(crate) fn clear_folder(out: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()))?;
+    for path in RESULTS.map(|name| out.join(name)) {
         let removed = if path.is_dir() {
             std::fs::remove_dir_all(&path)
-        } else {
+        } else if path.exists() {
             std::fs::remove_file(&path)
+        } else {
+            Ok(())
         };
         removed.map_err(|e| format!("{e}: {}", path.display()))?;
     }
-    std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()).into())
+    Ok(())
 }
 
 /// Writes the checkpoint, and the seconds that training has taken.

@@ -18,6 +18,7 @@ const INTERRUPTED: u8 = 130;
 
 /// Arguments of `limpid train`.
 #[derive(Debug, clap::Args)]
+#[command(args_override_self = true)]
 pub(crate) struct TrainArguments {
     /// Folder of the scene.
     #[arg(long, value_name = "DIR")]
@@ -97,12 +98,16 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
         (config, trainer, outputs::read_seconds(&checkpoint))
     } else {
         let device = asked.run.backend.device()?;
-        outputs::prepare_folder(&out, arguments.force)?;
+        if !arguments.force {
+            outputs::refuse_results(&out)?;
+        }
         let scene = asked.open_scene()?;
         for note in &scene.notes {
             eprintln!("note: {note}");
         }
         let trainer = Trainer::new(scene, asked.settings.clone(), &device)?;
+        // Only now: a mistake in the arguments or the scene costs no earlier results.
+        outputs::clear_folder(&out)?;
         io::write_json(&out.join(CONFIG_FILE), &asked)?;
         (asked, trainer, 0.0)
     };
