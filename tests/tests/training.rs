@@ -331,7 +331,7 @@ fn a_static_scene_without_blur_models_neither() {
     );
     let evaluation = trainer.evaluate().expect("scores");
     assert_eq!(evaluation.kernel_centroid_px, None);
-    assert!(evaluation.test.expect("test views").psnr > 15.0);
+    assert!(evaluation.test.expect("test views").mean.psnr > 15.0);
 }
 
 /// What a viewer draws from the PLY of a time is what the trainer renders at that time.

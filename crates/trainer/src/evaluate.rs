@@ -47,38 +47,35 @@ pub struct GaussianCounts {
 /// Means over views, and the views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
-    /// Mean PSNR over whole pictures, dB.
-    pub psnr: f64,
-    /// Mean SSIM; absent for pictures smaller than its window.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ssim: Option<f64>,
-    /// Mean PSNR over co-visible pixels, dB.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub mpsnr: Option<f64>,
-    /// The same without movers and what lies within a pixel of them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub mpsnr_static: Option<f64>,
-    /// The same for movers alone.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub mpsnr_dynamic: Option<f64>,
-    /// Each view's scores.
+    /// Means over the views that have the figure.
+    #[serde(flatten)]
+    pub mean: Figures,
+    /// Each view's figures.
     pub views: Vec<ViewScores>,
 }
 
-/// Scores of one view; see [`Scores`].
+/// Figures of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScores {
     /// File stem.
     pub name: String,
-    /// PSNR, dB.
+    /// Its figures.
+    #[serde(flatten)]
+    pub figures: Figures,
+}
+
+/// How close a render comes to the truth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Figures {
+    /// PSNR over the whole picture, dB.
     pub psnr: f64,
-    /// SSIM.
+    /// SSIM; absent for pictures smaller than its window.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ssim: Option<f64>,
     /// PSNR over co-visible pixels, dB.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mpsnr: Option<f64>,
-    /// The same without movers.
+    /// The same without movers and what lies within a pixel of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mpsnr_static: Option<f64>,
     /// The same for movers alone.
@@ -323,13 +320,16 @@ fn regions(truth: &Truth, index: usize) -> Regions {
 fn score(name: &str, render: &Image, wanted: &Image, regions: &Regions) -> ViewScores {
     let (a, b) = (quantized(render), quantized(wanted));
     let masked = |mask: &Option<Vec<bool>>| mask.as_ref().and_then(|m| masked_psnr(&a, &b, m));
-    ViewScores {
-        name: name.to_owned(),
+    let figures = Figures {
         psnr: psnr(&a, &b),
         ssim: ssim(&a, &b, render.width, render.height),
         mpsnr: masked(&regions.covisible),
         mpsnr_static: masked(&regions.fixed),
         mpsnr_dynamic: masked(&regions.moving),
+    };
+    ViewScores {
+        name: name.to_owned(),
+        figures,
     }
 }
 
@@ -343,16 +343,16 @@ fn quantized(image: &Image) -> Vec<f32> {
 }
 
 fn mean_scores(views: Vec<ViewScores>) -> Option<Scores> {
-    let mean = |of: fn(&ViewScores) -> Option<f64>| {
-        let values: Vec<f64> = views.iter().filter_map(of).collect();
+    let mean = |of: fn(&Figures) -> Option<f64>| {
+        let values: Vec<f64> = views.iter().filter_map(|view| of(&view.figures)).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
     };
-    Some(Scores {
-        psnr: mean(|v| Some(v.psnr))?,
-        ssim: mean(|v| v.ssim),
-        mpsnr: mean(|v| v.mpsnr),
-        mpsnr_static: mean(|v| v.mpsnr_static),
-        mpsnr_dynamic: mean(|v| v.mpsnr_dynamic),
-        views,
-    })
+    let mean = Figures {
+        psnr: mean(|f| Some(f.psnr))?,
+        ssim: mean(|f| f.ssim),
+        mpsnr: mean(|f| f.mpsnr),
+        mpsnr_static: mean(|f| f.mpsnr_static),
+        mpsnr_dynamic: mean(|f| f.mpsnr_dynamic),
+    };
+    Some(Scores { mean, views })
 }

@@ -47,7 +47,9 @@ mod views;
 pub use burn::tensor::Device;
 pub use checkpoint::FILE_NAME as CHECKPOINT_FILE;
 pub use error::TrainError;
-pub use evaluate::{BlurredView, ColorMap, Evaluation, GaussianCounts, Scores, ViewScores};
+pub use evaluate::{
+    BlurredView, ColorMap, Evaluation, Figures, GaussianCounts, Scores, ViewScores,
+};
 pub use model::{Model, MotionModel, Posed};
 pub use settings::Settings;
 pub use step::StepReport;

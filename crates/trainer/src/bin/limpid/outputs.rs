@@ -128,10 +128,10 @@ pub(crate) fn summary(evaluation: &Evaluation) -> String {
     let mut text = String::new();
     let mut line = |name: &str, scores: &Scores| {
         let figures = [
-            ("PSNR", Some(scores.psnr)),
-            ("mPSNR", scores.mpsnr),
-            ("static", scores.mpsnr_static),
-            ("movers", scores.mpsnr_dynamic),
+            ("PSNR", Some(scores.mean.psnr)),
+            ("mPSNR", scores.mean.mpsnr),
+            ("static", scores.mean.mpsnr_static),
+            ("movers", scores.mean.mpsnr_dynamic),
         ];
         write!(text, "{name}:").expect("a string takes text");
         for (label, value) in figures {
@@ -139,7 +139,7 @@ pub(crate) fn summary(evaluation: &Evaluation) -> String {
                 write!(text, " {label} {value:.2} dB").expect("a string takes text");
             }
         }
-        if let Some(ssim) = scores.ssim {
+        if let Some(ssim) = scores.mean.ssim {
             write!(text, " SSIM {ssim:.4}").expect("a string takes text");
         }
         text.push('\n');
