@@ -4,7 +4,7 @@ mod gradcheck;
 
 pub use gradcheck::{GradLimits, check_gradients};
 
-use burn::tensor::Device;
+use burn::tensor::{DType, Device, Tensor, TensorData};
 
 /// Every backend that is compiled in, by the name `--backend` gives it.
 ///
@@ -23,4 +23,43 @@ pub fn devices() -> Vec<(&'static str, Device)> {
 #[expect(deprecated, reason = "kept as a second, independent CPU backend")]
 fn ndarray() -> Device {
     Device::ndarray()
+}
+
+/// A tensor of these values, rounded to `dtype`.
+#[must_use]
+pub fn tensor<const D: usize>(
+    values: &[f64],
+    shape: [usize; D],
+    device: &Device,
+    dtype: DType,
+) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, dtype))
+}
+
+/// A tensor's values, widened.
+#[must_use]
+pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+    tensor.into_data().iter::<f64>().collect()
+}
+
+/// Numbers in [-1, 1) that look random and are the same everywhere.
+#[must_use]
+pub fn noise(count: usize, seed: u64) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) + 1;
+    (0..count)
+        .map(|_| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        })
+        .collect()
+}
+
+/// Numbers in [0, 1) without a pattern, the same everywhere.
+#[must_use]
+pub fn unit_noise(count: usize, seed: usize) -> Vec<f64> {
+    (0..count)
+        .map(|i| ((i * 7919 + seed * 104_729 + i * i * 31) % 10_007) as f64 / 10_007.0)
+        .collect()
 }

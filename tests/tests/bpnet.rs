@@ -5,28 +5,8 @@ use bpnet::{
     BlurField, BlurInputs, BpNet, BpNetConfig, BpNetError, Extractor, HeadInit, blur, cell_means,
     centroid, composite, kernel_center_loss,
 };
-use burn::tensor::{DType, Device, Tensor, TensorData};
-use limpid_tests::devices;
-
-/// Values in [0, 1) without a pattern.
-fn values(count: usize, seed: usize) -> Vec<f64> {
-    (0..count)
-        .map(|i| ((i * 7919 + seed * 104_729 + i * i * 31) % 10_007) as f64 / 10_007.0)
-        .collect()
-}
-
-fn tensor<const D: usize>(
-    values: Vec<f64>,
-    shape: [usize; D],
-    device: &Device,
-    dtype: DType,
-) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values, shape), (device, dtype))
-}
-
-fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-    tensor.into_data().iter::<f64>().collect()
-}
+use burn::tensor::{DType, Device, Tensor};
+use limpid_tests::{devices, tensor, unit_noise, values};
 
 fn config(kernel_size: usize, head: HeadInit) -> BpNetConfig {
     BpNetConfig {
@@ -41,13 +21,23 @@ fn config(kernel_size: usize, head: HeadInit) -> BpNetConfig {
 fn inputs(height: usize, width: usize, device: &Device, dtype: DType) -> BlurInputs {
     BlurInputs {
         color: tensor(
-            values(height * width * 3, 1),
+            &unit_noise(height * width * 3, 1),
             [height, width, 3],
             device,
             dtype,
         ),
-        disparity: tensor(values(height * width, 2), [height, width], device, dtype),
-        mask: tensor(values(height * width, 3), [height, width], device, dtype),
+        disparity: tensor(
+            &unit_noise(height * width, 2),
+            [height, width],
+            device,
+            dtype,
+        ),
+        mask: tensor(
+            &unit_noise(height * width, 3),
+            [height, width],
+            device,
+            dtype,
+        ),
     }
 }
 
@@ -62,10 +52,10 @@ fn a_constant_image_stays_constant_up_to_the_border() {
             .forward(0, &inputs, Extractor::Trained)
             .expect("the shapes fit");
         let output = composite(inputs.color, &field).expect("the shapes fit");
-        for value in to_vec(output) {
+        for value in values(output) {
             assert!((value - 0.7).abs() < 1e-6, "{name}: {value}");
         }
-        for sum in to_vec(field.kernel.sum_dim(2)) {
+        for sum in values(field.kernel.sum_dim(2)) {
             assert!((sum - 1.0).abs() < 1e-6, "{name}: a kernel sums to {sum}");
         }
     }
@@ -123,7 +113,7 @@ fn names_are_the_same_for_reading_and_replacing() {
         assert_eq!(read, write);
         for (name, tensor) in net.parameters() {
             assert!(
-                to_vec(tensor).iter().all(|&v| v == 0.0),
+                values(tensor).iter().all(|&v| v == 0.0),
                 "{name} was not replaced"
             );
         }
@@ -138,16 +128,16 @@ fn the_mild_head_starts_near_a_gaussian_of_one_pixel() {
         let field = net
             .forward(1, &inputs(12, 16, &device, DType::F32), Extractor::Trained)
             .expect("the shapes fit");
-        for m in to_vec(field.intensity.clone()) {
+        for m in values(field.intensity.clone()) {
             assert!((m - 0.5).abs() < 0.05, "{name}: m starts at {m}");
         }
-        for kernel in to_vec(field.kernel.clone()).chunks_exact(81) {
+        for kernel in values(field.kernel.clone()).chunks_exact(81) {
             let variance: f64 = (0..81)
                 .map(|j| kernel[j] * (j as f64 % 9.0 - 4.0).powi(2))
                 .sum();
             assert!((variance - 1.0).abs() < 0.2, "{name}: variance {variance}");
         }
-        for shift in to_vec(centroid(&field)) {
+        for shift in values(centroid(&field)) {
             assert!(
                 shift.abs() < 0.1,
                 "{name}: the blur starts off centre by {shift} px"
@@ -179,11 +169,16 @@ fn kernel_and_intensity_learn_from_the_first_step() {
             .expect("the shapes fit");
         // The photometric term alone: nothing else may be needed to leave the start.
         let output = composite(inputs.color.clone(), &field).expect("the shapes fit");
-        let target = tensor::<3>(values(12 * 16 * 3, 9), [12, 16, 3], &device, DType::F32);
+        let target = tensor::<3>(
+            &unit_noise(12 * 16 * 3, 9),
+            [12, 16, 3],
+            &device,
+            DType::F32,
+        );
         let grads = (output - target).abs().mean().backward();
         for (parameter, tensor) in net.parameters() {
             let gradient = tensor.grad(&grads).expect("every parameter is trained");
-            let norm = to_vec(gradient).iter().map(|g| g * g).sum::<f64>().sqrt();
+            let norm = values(gradient).iter().map(|g| g * g).sum::<f64>().sqrt();
             assert!(
                 norm.is_finite(),
                 "{name}: gradient of {parameter} is {norm}"
@@ -208,10 +203,10 @@ fn a_frozen_extractor_gets_no_gradient() {
         let net = BpNet::new(&config(5, HeadInit::Mild), &device, DType::F32)
             .expect("the configuration is valid");
         let inputs = inputs(8, 9, &device, DType::F32);
-        let trained = to_vec(loss(&net, &inputs, Extractor::Trained));
+        let trained = values(loss(&net, &inputs, Extractor::Trained));
         let frozen = loss(&net, &inputs, Extractor::Frozen);
         assert_eq!(
-            to_vec(frozen.clone()),
+            values(frozen.clone()),
             trained,
             "{name}: the values are the same"
         );
@@ -258,10 +253,10 @@ fn the_whole_net_has_its_gradients() {
             let grads = loss(&net, &inputs, Extractor::Trained).backward();
             for (index, (parameter, tensor)) in net.parameters().into_iter().enumerate() {
                 let dims = tensor.dims();
-                let gradient = to_vec(tensor.grad(&grads).expect("every parameter is trained"));
-                let start = to_vec(tensor);
+                let gradient = values(tensor.grad(&grads).expect("every parameter is trained"));
+                let start = values(tensor);
                 for seed in [20, 21] {
-                    let direction: Vec<f64> = values(start.len(), seed + index)
+                    let direction: Vec<f64> = unit_noise(start.len(), seed + index)
                         .iter()
                         .map(|v| v - 0.5)
                         .collect();
@@ -292,7 +287,7 @@ fn the_whole_net_has_its_gradients() {
 }
 
 fn tensor_like(values: Vec<f64>, dims: [usize; 2], device: &Device) -> Tensor<2> {
-    tensor(values, dims, device, DType::F64)
+    tensor(&values, dims, device, DType::F64)
 }
 
 /// The loss at moved parameters, with what the loss holds constant taken at the old ones.
@@ -312,7 +307,7 @@ fn moved_loss(moved: &BpNet, inputs: &BlurInputs, fixed: &BpNet) -> f64 {
     let loss = (output - target).powi_scalar(2).mean()
         + kernel_center_loss(&sparse) * 0.3
         + (cells.clone() * cells).mean() * 10.0;
-    to_vec(loss)[0]
+    values(loss)[0]
 }
 
 #[test]
@@ -324,7 +319,7 @@ fn single_precision_follows_double() {
             let field = net
                 .forward(2, &inputs(20, 30, &device, dtype), Extractor::Trained)
                 .expect("the shapes fit");
-            (to_vec(field.kernel), to_vec(field.intensity))
+            (values(field.kernel), values(field.intensity))
         });
         let [(kernel, intensity), (single_kernel, single_intensity)] = fields;
         for (a, b) in kernel.iter().zip(single_kernel) {
@@ -354,15 +349,15 @@ fn one_and_two_threads_give_the_same_bits() {
                 let mut inputs = inputs(50, 67, &device, DType::F32);
                 inputs.color = inputs.color.require_grad();
                 let loss = loss(&net, &inputs, Extractor::Trained);
-                let value = to_vec(loss.clone());
+                let value = values(loss.clone());
                 let grads = loss.backward();
                 let mut all = vec![value];
                 for (_, tensor) in net.parameters() {
-                    all.push(to_vec(
+                    all.push(values(
                         tensor.grad(&grads).expect("every parameter is trained"),
                     ));
                 }
-                all.push(to_vec(
+                all.push(values(
                     inputs.color.grad(&grads).expect("it reaches the picture"),
                 ));
                 all

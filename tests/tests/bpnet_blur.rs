@@ -4,28 +4,8 @@
 use bpnet::{
     BlurField, blur, cell_means, centroid, composite, kernel_center_loss, positional_encoding,
 };
-use burn::tensor::{DType, Device, Tensor, TensorData};
-use limpid_tests::{GradLimits, check_gradients, devices};
-
-/// Values in [0, 1) without a pattern.
-fn values(count: usize, seed: usize) -> Vec<f64> {
-    (0..count)
-        .map(|i| ((i * 7919 + seed * 104_729 + i * i * 31) % 10_007) as f64 / 10_007.0)
-        .collect()
-}
-
-fn tensor<const D: usize>(
-    values: Vec<f64>,
-    shape: [usize; D],
-    device: &Device,
-    dtype: DType,
-) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values, shape), (device, dtype))
-}
-
-fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-    tensor.into_data().iter::<f64>().collect()
-}
+use burn::tensor::{DType, Tensor};
+use limpid_tests::{GradLimits, check_gradients, devices, tensor, unit_noise, values};
 
 #[test]
 fn the_blur_has_the_gradients_of_image_and_kernel() {
@@ -40,15 +20,18 @@ fn the_blur_has_the_gradients_of_image_and_kernel() {
             (1, 1, 5),
         ] {
             let pixels = height * width;
-            let image = values(pixels * 3, 1);
-            let kernel: Vec<f64> = values(pixels * k * k, 2).iter().map(|v| v + 0.1).collect();
+            let image = unit_noise(pixels * 3, 1);
+            let kernel: Vec<f64> = unit_noise(pixels * k * k, 2)
+                .iter()
+                .map(|v| v + 0.1)
+                .collect();
             eprintln!("{name}: {height} x {width}, K = {k}");
             let loss = |image: Tensor<2>, kernel: Tensor<2>| {
                 let image = image.reshape([height, width, 3]);
                 let kernel = kernel.reshape([height, width, k * k]);
                 let blurred = blur(image, kernel).expect("the shapes fit");
                 let target = tensor(
-                    values(pixels * 3, 5),
+                    &unit_noise(pixels * 3, 5),
                     [height, width, 3],
                     &blurred.device(),
                     DType::F64,
@@ -65,7 +48,7 @@ fn the_blur_has_the_gradients_of_image_and_kernel() {
                     GradLimits::default(),
                     |leaves| {
                         let device = leaves[0].device();
-                        let kernel = tensor(kernel.clone(), [pixels, k * k], &device, DType::F64);
+                        let kernel = tensor(&kernel.clone(), [pixels, k * k], &device, DType::F64);
                         loss(leaves[0].clone(), kernel)
                     },
                 );
@@ -88,13 +71,13 @@ fn the_blur_has_the_gradients_of_image_and_kernel() {
 #[test]
 fn the_blur_does_not_mind_how_its_inputs_lie_in_memory() {
     for (name, device) in devices() {
-        let image = tensor::<3>(values(3 * 6 * 5, 1), [3, 6, 5], &device, DType::F32);
-        let kernel = tensor::<3>(values(9 * 5 * 6, 2), [9, 5, 6], &device, DType::F32);
+        let image = tensor::<3>(&unit_noise(3 * 6 * 5, 1), [3, 6, 5], &device, DType::F32);
+        let kernel = tensor::<3>(&unit_noise(9 * 5 * 6, 2), [9, 5, 6], &device, DType::F32);
         let image = image.permute([1, 2, 0]); // [6, 5, 3]
         let kernel = kernel.permute([2, 1, 0]); // [6, 5, 9]
         let copy = |t: &Tensor<3>| Tensor::<3>::from_data(t.to_data(), (&device, DType::F32));
-        let expected = to_vec(blur(copy(&image), copy(&kernel)).expect("the shapes fit"));
-        let permuted = to_vec(blur(image, kernel).expect("the shapes fit"));
+        let expected = values(blur(copy(&image), copy(&kernel)).expect("the shapes fit"));
+        let permuted = values(blur(image, kernel).expect("the shapes fit"));
         assert_eq!(permuted, expected, "{name}");
     }
 }
@@ -108,12 +91,12 @@ fn a_delta_kernel_returns_the_image_whatever_the_intensity() {
                 pixel[k * k / 2] = 1.0;
             }
             let field = BlurField {
-                kernel: tensor(kernel, [4, 6, k * k], &device, DType::F32),
-                intensity: tensor(values(24, 4), [4, 6], &device, DType::F32),
+                kernel: tensor(&kernel, [4, 6, k * k], &device, DType::F32),
+                intensity: tensor(&unit_noise(24, 4), [4, 6], &device, DType::F32),
             };
-            let image = tensor::<3>(values(72, 1), [4, 6, 3], &device, DType::F32);
+            let image = tensor::<3>(&unit_noise(72, 1), [4, 6, 3], &device, DType::F32);
             let output = composite(image.clone(), &field).expect("the shapes fit");
-            assert_eq!(to_vec(output), to_vec(image), "{name}, K = {k}");
+            assert_eq!(values(output), values(image), "{name}, K = {k}");
         }
     }
 }
@@ -126,15 +109,15 @@ fn a_kernel_with_one_weight_fetches_the_pixel_it_points_at() {
         for pixel in kernel.chunks_exact_mut(9) {
             pixel[5] = 1.0;
         }
-        let image = tensor::<3>(values(18, 1), [2, 3, 3], &device, DType::F32);
+        let image = tensor::<3>(&unit_noise(18, 1), [2, 3, 3], &device, DType::F32);
         let field = BlurField {
-            kernel: tensor(kernel, [2, 3, 9], &device, DType::F32),
-            intensity: tensor(vec![0.5; 6], [2, 3], &device, DType::F32),
+            kernel: tensor(&kernel, [2, 3, 9], &device, DType::F32),
+            intensity: tensor(&vec![0.5; 6], [2, 3], &device, DType::F32),
         };
         let output = blur(image.clone(), field.kernel.clone()).expect("the shapes fit");
         let inner = output.narrow(1, 0, 2);
-        assert_eq!(to_vec(inner), to_vec(image.narrow(1, 1, 2)), "{name}");
-        let centroid = to_vec(centroid(&field));
+        assert_eq!(values(inner), values(image.narrow(1, 1, 2)), "{name}");
+        let centroid = values(centroid(&field));
         assert_eq!(
             centroid,
             [0.5, 0.0].repeat(6),
@@ -146,7 +129,7 @@ fn a_kernel_with_one_weight_fetches_the_pixel_it_points_at() {
 #[test]
 fn the_encoding_is_that_of_pixel_centres() {
     for (name, device) in devices() {
-        let encoding = to_vec(positional_encoding([2, 4], &device, DType::F64));
+        let encoding = values(positional_encoding([2, 4], &device, DType::F64));
         for (pixel, row) in encoding.chunks_exact(16).enumerate() {
             let (y, x) = (pixel / 4, pixel % 4);
             let axes = [(x as f64 + 0.5) / 4.0, (y as f64 + 0.5) / 2.0];
@@ -171,9 +154,9 @@ fn the_encoding_is_that_of_pixel_centres() {
 fn cells_cover_the_picture_whatever_its_size() {
     for (name, device) in devices() {
         // 5 columns in 2 cells: 0 to 2 and 2 to 4; 3 rows in 4 cells: 0, 0 to 1, 1 to 2, 2.
-        let map = (0..30).map(f64::from).collect();
-        let means = to_vec(cell_means(
-            tensor(map, [3, 5, 2], &device, DType::F64),
+        let map: Vec<f64> = (0..30).map(f64::from).collect();
+        let means = values(cell_means(
+            tensor(&map, [3, 5, 2], &device, DType::F64),
             4,
             2,
         ));
@@ -192,8 +175,12 @@ fn cells_cover_the_picture_whatever_its_size() {
                 );
             }
         }
-        let one = cell_means(tensor(vec![3.0, 4.0], [1, 1, 2], &device, DType::F64), 4, 8);
-        assert_eq!(to_vec(one), [3.0, 4.0].repeat(32), "{name}");
+        let one = cell_means(
+            tensor(&vec![3.0, 4.0], [1, 1, 2], &device, DType::F64),
+            4,
+            8,
+        );
+        assert_eq!(values(one), [3.0, 4.0].repeat(32), "{name}");
     }
 }
 
@@ -201,12 +188,12 @@ fn cells_cover_the_picture_whatever_its_size() {
 fn sparsity_is_the_distance_from_the_centre_weight_to_its_target() {
     for (name, device) in devices() {
         let field = BlurField {
-            kernel: tensor(vec![1.0, 0.25, 0.5], [1, 3, 1], &device, DType::F64),
-            intensity: tensor(vec![0.0, 0.5, 1.0], [1, 3], &device, DType::F64),
+            kernel: tensor(&vec![1.0, 0.25, 0.5], [1, 3, 1], &device, DType::F64),
+            intensity: tensor(&vec![0.0, 0.5, 1.0], [1, 3], &device, DType::F64),
         };
         let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
         let expected = ((1.0 - sigmoid(5.0)) + (sigmoid(2.5) - 0.25)) / 3.0;
-        let loss = to_vec(kernel_center_loss(&field))[0];
+        let loss = values(kernel_center_loss(&field))[0];
         assert!(
             (loss - expected).abs() < 1e-12,
             "{name}: {loss} against {expected}"

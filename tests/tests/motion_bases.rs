@@ -2,32 +2,11 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DMat3, DVec3};
-use limpid_tests::{GradLimits, check_gradients, devices};
+use limpid_tests::{GradLimits, check_gradients, devices, noise, tensor, values};
 use motion_bases::{
     MotionBases, along_ray, bases_acceleration, gram_schmidt, means_acceleration,
     positions_all_frames,
 };
-
-fn tensor(values: &[f64], shape: [usize; 2], device: &Device, dtype: DType) -> Tensor<2> {
-    Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, dtype))
-}
-
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-    tensor.into_data().iter::<f64>().collect()
-}
-
-/// Numbers in [-1, 1) that look random and are the same everywhere.
-fn noise(count: usize, seed: u64) -> Vec<f64> {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) + 1;
-    (0..count)
-        .map(|_| {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-        })
-        .collect()
-}
 
 fn assert_close(found: &[f64], expected: &[f64], limit: f64, what: &str) {
     assert_eq!(found.len(), expected.len(), "{what}");

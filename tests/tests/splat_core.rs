@@ -2,22 +2,9 @@
 //! kernels, errors, and what a render gives beside the image.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use limpid_tests::{GradLimits, check_gradients, devices};
+use limpid_tests::{GradLimits, check_gradients, devices, noise, values};
 use splat_core::cpu::{SplatSlices, View, project, rasterize as rasterize_slices};
 use splat_core::{Camera, RenderOptions, SplatError, Splats, prepare, rasterize, render};
-
-/// Numbers in [-1, 1) that look random and are the same everywhere.
-fn noise(count: usize, seed: u64) -> Vec<f64> {
-    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) + 1;
-    (0..count)
-        .map(|_| {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-        })
-        .collect()
-}
 
 const N: usize = 5;
 const FEATURES: usize = 2;
@@ -73,10 +60,6 @@ fn splats(t: &[Tensor<2>]) -> Splats {
         opacity_logits: t[4].clone(),
         sh: t[5].clone(),
     }
-}
-
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-    tensor.into_data().iter::<f64>().collect()
 }
 
 const OPTIONS: RenderOptions = RenderOptions { sh_degree: 3 };

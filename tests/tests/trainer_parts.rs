@@ -1,7 +1,7 @@
 //! Losses, Adam and density control on tensors, on every backend that is compiled in.
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
-use limpid_tests::{GradLimits, check_gradients, devices};
+use burn::tensor::{DType, Tensor};
+use limpid_tests::{GradLimits, check_gradients, devices, tensor};
 use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
 use trainer::density::{
     DensityOptions, RowEdit, RowKind, add_to_rows, gather_rows, plan_density, reset_opacity,
@@ -16,15 +16,6 @@ fn noise(count: usize, seed: f64) -> Vec<f64> {
         .map(|k| ((k as f64 + seed) * 12.9898).sin() * 43_758.545_3)
         .map(|v| v - v.floor())
         .collect()
-}
-
-fn tensor<const D: usize>(
-    values: &[f64],
-    shape: [usize; D],
-    device: &Device,
-    dtype: DType,
-) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, dtype))
 }
 
 fn values<const D: usize>(tensor: &Tensor<D>) -> Vec<f64> {
