@@ -112,7 +112,7 @@ fn a_kernel_with_one_weight_fetches_the_pixel_it_points_at() {
         let image = tensor::<3>(&unit_noise(18, 1), [2, 3, 3], &device, DType::F32);
         let field = BlurField {
             kernel: tensor(&kernel, [2, 3, 9], &device, DType::F32),
-            intensity: tensor(&vec![0.5; 6], [2, 3], &device, DType::F32),
+            intensity: tensor(&[0.5; 6], [2, 3], &device, DType::F32),
         };
         let output = blur(image.clone(), field.kernel.clone()).expect("the shapes fit");
         let inner = output.narrow(1, 0, 2);
@@ -176,7 +176,7 @@ fn cells_cover_the_picture_whatever_its_size() {
             }
         }
         let one = cell_means(
-            tensor(&vec![3.0, 4.0], [1, 1, 2], &device, DType::F64),
+            tensor(&[3.0, 4.0], [1, 1, 2], &device, DType::F64),
             4,
             8,
         );
@@ -188,8 +188,8 @@ fn cells_cover_the_picture_whatever_its_size() {
 fn sparsity_is_the_distance_from_the_centre_weight_to_its_target() {
     for (name, device) in devices() {
         let field = BlurField {
-            kernel: tensor(&vec![1.0, 0.25, 0.5], [1, 3, 1], &device, DType::F64),
-            intensity: tensor(&vec![0.0, 0.5, 1.0], [1, 3], &device, DType::F64),
+            kernel: tensor(&[1.0, 0.25, 0.5], [1, 3, 1], &device, DType::F64),
+            intensity: tensor(&[0.0, 0.5, 1.0], [1, 3], &device, DType::F64),
         };
         let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
         let expected = ((1.0 - sigmoid(5.0)) + (sigmoid(2.5) - 0.25)) / 3.0;
