@@ -175,11 +175,7 @@ fn cells_cover_the_picture_whatever_its_size() {
                 );
             }
         }
-        let one = cell_means(
-            tensor(&[3.0, 4.0], [1, 1, 2], &device, DType::F64),
-            4,
-            8,
-        );
+        let one = cell_means(tensor(&[3.0, 4.0], [1, 1, 2], &device, DType::F64), 4, 8);
         assert_eq!(values(one), [3.0, 4.0].repeat(32), "{name}");
     }
 }

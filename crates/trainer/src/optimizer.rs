@@ -52,13 +52,13 @@ impl Rates<'_> {
     /// The rate of a parameter (names as in [`crate::Model::parameters`]) at iteration `it`.
     pub(crate) fn of(&self, name: &str, it: usize) -> LearningRate {
         let r = self.rates;
+        let decay = |share: f64, length: usize| self.schedule.decay(it, share, length);
         let boost = self.schedule.short_run_boost(r.short_run_boost);
+        let motion = || boost * decay(r.motion_final_share, REFERENCE_ITERATIONS);
         LearningRate::Uniform(match name {
             "gaussians.means" => {
-                self.scene_size
-                    * self
-                        .schedule
-                        .log_linear(it, r.means, r.means_final, r.means_decay)
+                let share = r.means_final / r.means;
+                r.means * self.scene_size * decay(share, r.means_decay)
             }
             "gaussians.quats" => r.rotations,
             "gaussians.log_scales" => r.scales,
@@ -66,9 +66,9 @@ impl Rates<'_> {
             "gaussians.sh" => {
                 return LearningRate::first_and_rest(r.sh_dc, 3, r.sh_rest, self.sh_columns);
             }
-            "motion.rots" => r.bases * boost,
-            "motion.transls" => r.bases * boost * self.scene_size,
-            "motion.coefficients" => r.coefficients * boost,
+            "motion.rots" => r.bases * motion(),
+            "motion.transls" => r.bases * motion() * self.scene_size,
+            "motion.coefficients" => r.coefficients * motion(),
             _ => {
                 // The paper's long run decays to a fiftieth over 35,000 iterations; a short one less.
                 let (share, length) = if self.schedule.iterations < REFERENCE_ITERATIONS {
@@ -76,7 +76,7 @@ impl Rates<'_> {
                 } else {
                     (0.02, 35_000)
                 };
-                boost * self.schedule.log_linear(it, r.blur, r.blur * share, length)
+                r.blur * boost * decay(share, length)
             }
         })
     }

@@ -159,12 +159,12 @@ impl Schedule {
             .any(|event| event > it && event <= it + 1000)
     }
 
-    /// Learning rate that falls log-linearly from `start` to `end` over `length` iterations of 40,000.
+    /// Factor on a learning rate that falls log-linearly from 1 to `final_share` over `length` iterations of 40,000.
     #[must_use]
-    pub fn log_linear(&self, it: usize, start: f64, end: f64, length: usize) -> f64 {
+    pub fn decay(&self, it: usize, final_share: f64, length: usize) -> f64 {
         let scaled = length as f64 * self.iterations as f64 / REFERENCE_ITERATIONS as f64;
         let progress = (it as f64 / scaled.max(1.0)).min(1.0);
-        ((1.0 - progress) * start.ln() + progress * end.ln()).exp()
+        final_share.powf(progress)
     }
 
     /// Factor by which blur, bases and coefficients learn faster in short runs: `min(limit, s^-1/2)`, at least 1.
@@ -225,7 +225,7 @@ mod tests {
             [0, 1, 1, 2, 2, 3, 3]
         );
         // Method facts, section 13: means' rate at 10,000 with S = 5.
-        assert!((s.log_linear(10_000, 8e-4, 8e-6, 30_000) - 1.72e-4).abs() < 1e-6);
+        assert!((8e-4 * s.decay(10_000, 0.01, 30_000) - 1.72e-4).abs() < 1e-6);
     }
 
     #[test]

@@ -282,10 +282,13 @@ pub struct LearningRates {
     pub scales: f64,
     /// Quaternions.
     pub rotations: f64,
-    /// Motion coefficients.
+    /// Motion coefficients at the start.
     pub coefficients: f64,
-    /// Motion bases (translations in units of S).
+    /// Motion bases (translations in units of S) at the start.
     pub bases: f64,
+    /// Bases and coefficients at the end, as a share of the start. A basis of one frame learns from that frame alone, but Adam's
+    /// step goes on through the iterations between its visits: at a rate that stays large movers tremble by a third of a pixel.
+    pub motion_final_share: f64,
     /// BP-Net, extractor and embeddings at the start.
     pub blur: f64,
     /// The same at the end, as a share of the start, in runs under 40,000 iterations (0.02 in longer ones).
@@ -307,6 +310,7 @@ impl Default for LearningRates {
             rotations: 1e-3,
             coefficients: 1e-2,
             bases: 1.6e-4,
+            motion_final_share: 0.01,
             blur: 5e-4,
             blur_final_share: 0.1,
             short_run_boost: 4.0,
@@ -315,11 +319,12 @@ impl Default for LearningRates {
 }
 
 impl Settings {
-    /// The paper's text where it differs from the defaults: no hold, no gauge, the blur model's
-    /// head as a framework initialises it (the paper says nothing about it).
+    /// The paper's text where it differs from the defaults: motion learns at a constant rate, no
+    /// hold, no gauge, the blur model's head as a framework initialises it (the paper says nothing about it).
     #[must_use]
     pub fn paper() -> Self {
         let mut settings = Self::default();
+        settings.learning_rates.motion_final_share = 1.0;
         settings.blur.hold = 0;
         settings.blur.mild_start = false;
         settings.loss.gauge = 0.0;
@@ -384,6 +389,7 @@ impl Settings {
             (g.near, "gaussians.near"),
             (l.means, "learning_rates.means"),
             (l.means_final, "learning_rates.means_final"),
+            (l.motion_final_share, "learning_rates.motion_final_share"),
             (l.blur_final_share, "learning_rates.blur_final_share"),
             (l.short_run_boost, "learning_rates.short_run_boost"),
         ];
