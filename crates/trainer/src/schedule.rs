@@ -226,6 +226,10 @@ mod tests {
         );
         // Method facts, section 13: means' rate at 10,000 with S = 5.
         assert!((8e-4 * s.decay(10_000, 0.01, 30_000) - 1.72e-4).abs() < 1e-6);
+        assert_eq!(
+            [30_000, 40_000].map(|it| s.decay(it, 0.01, 30_000)),
+            [0.01; 2]
+        );
     }
 
     #[test]

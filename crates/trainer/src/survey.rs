@@ -30,7 +30,7 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
             .frames
             .iter_mut()
             .filter_map(|frame| {
-                let fit = fit_disparity(frame, &scene.points)?;
+                let fit = fit_to_points(frame, &scene.points)?;
                 apply_disparity_fit(frame.depth.as_mut()?, fit);
                 Some(fit)
             })
@@ -124,7 +124,7 @@ const MIN_POINTS: usize = 20;
 
 /// Robust scale and shift of a frame's disparity against the sparse points: least absolute
 /// differences by re-weighted least squares. `None` where there are too few points.
-fn fit_disparity(frame: &Frame, points: &[SparsePoint]) -> Option<(f64, f64)> {
+fn fit_to_points(frame: &Frame, points: &[SparsePoint]) -> Option<(f64, f64)> {
     let (depth, view) = (frame.depth.as_ref()?, &frame.view);
     let mut pairs = Vec::new();
     for point in points {
