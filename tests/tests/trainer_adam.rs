@@ -2,7 +2,7 @@
 
 use burn::tensor::DType;
 use limpid_tests::{devices, tensor, unit_noise, values};
-use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
+use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step, check_gradient};
 use trainer::density::{
     DensityOptions, RowEdit, RowKind, add_to_rows, gather_rows, plan_density, reset_opacity,
 };
@@ -42,8 +42,7 @@ fn adam_leaves_a_leaf_and_follows_its_definition() {
                         &mut state,
                         &rate,
                         &AdamOptions::default(),
-                    )
-                    .expect("a finite gradient");
+                    );
                     for k in 0..12 {
                         m[k] = 0.9 * m[k] + 0.1 * grad[k];
                         v[k] = 0.999 * v[k] + 0.001 * grad[k] * grad[k];
@@ -69,27 +68,18 @@ fn adam_leaves_a_leaf_and_follows_its_definition() {
 }
 
 #[test]
-fn a_gradient_that_is_not_a_number_changes_nothing() {
+fn a_gradient_that_is_not_a_number_is_named() {
     for (name, device) in devices() {
-        let mut param = tensor(&unit_noise(6, 3), [3, 2], &device, DType::F32);
-        let before = values(param.clone());
-        let mut state = AdamState::new(&param);
-        for bad in [f64::NAN, f64::INFINITY] {
-            let mut grad = vec![1.0; 6];
-            grad[3] = bad;
-            let error = adam_step(
-                &mut param,
-                tensor(&grad, [3, 2], &device, DType::F32),
-                &mut state,
-                &LearningRate::Uniform(0.1),
-                &AdamOptions::default(),
-            )
-            .expect_err("not finite");
-            assert_eq!((error.row, error.column), (1, 1), "{name}: {error}");
+        for dtype in [DType::F32, DType::F64] {
+            for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+                let mut grad = vec![1.0; 6];
+                let check = |grad: &[f64]| check_gradient(&tensor(grad, [3, 2], &device, dtype));
+                assert_eq!(check(&grad), Ok(()), "{name}");
+                grad[3] = bad;
+                let error = check(&grad).expect_err("not finite");
+                assert_eq!((error.row, error.column), (1, 1), "{name}: {error}");
+            }
         }
-        assert_eq!(values(param.clone()), before, "{name}");
-        assert_eq!(state.steps, 0, "{name}");
-        assert_eq!(values(state.moment2.clone()), [0.0; 6], "{name}");
     }
 }
 
@@ -110,8 +100,7 @@ fn moments_follow_clone_split_and_prune() {
             &mut state,
             &LearningRate::Uniform(0.1),
             &AdamOptions::default(),
-        )
-        .expect("a finite gradient");
+        );
         let old = [&param, &state.moment1, &state.moment2].map(|t| values(t.clone()));
         state.gather(&edit());
         let new = gather_rows(&param, &edit());

@@ -190,7 +190,7 @@ fn a_mover_under_two_percent_of_the_picture_has_a_mask_loss() {
         let target = rectangle(size, 20..26, 10..16);
         assert!(target.iter().sum::<f32>() < 0.02 * (64.0 * 36.0));
         let rendered = Tensor::<2>::zeros([36, 64], (&device, DType::F32)).require_grad();
-        let loss = mask_loss(rendered.clone(), &target, mask_band(64));
+        let loss = mask_loss(rendered.clone(), &target, None, mask_band(64));
         let grads = loss.backward();
         let grad = values(rendered.grad(&grads).expect("tracked"));
         assert!(scalar(loss) > 0.0, "{name}");
@@ -221,7 +221,11 @@ fn the_mask_loss_trims_each_side_and_spares_the_band() {
                 0.0
             }
         });
-        assert_eq!(scalar(mask_loss(beside, &target, band)), 0.0, "{name}");
+        assert_eq!(
+            scalar(mask_loss(beside, &target, None, band)),
+            0.0,
+            "{name}"
+        );
         // 360 pixels a side count; the largest 2 % of each, seven, are left out.
         let worst = rendered(&|x, y| {
             let right = f64::from(u8::from(x < 20));
@@ -235,12 +239,12 @@ fn the_mask_loss_trims_each_side_and_spares_the_band() {
             };
             right + wrong
         });
-        let loss = scalar(mask_loss(worst, &target, band));
+        let loss = scalar(mask_loss(worst, &target, None, band));
         assert!((loss - 0.15).abs() < 1e-12, "{name}: {loss}");
         // Nothing inside, nothing outside, nothing but the band.
         for whole in [0.0, 1.0] {
             let all = rendered(&|_, _| 0.25);
-            let loss = scalar(mask_loss(all, &vec![whole; width * height], band));
+            let loss = scalar(mask_loss(all, &vec![whole; width * height], None, band));
             assert!(
                 (loss - f64::from(whole - 0.25).abs()).abs() < 1e-12,
                 "{name}"
@@ -248,7 +252,7 @@ fn the_mask_loss_trims_each_side_and_spares_the_band() {
         }
         let thin = rectangle([3, 1], 1..2, 0..1);
         let empty = tensor(&[0.5; 3], [1, 3], &device, DType::F32);
-        assert_eq!(scalar(mask_loss(empty, &thin, 2)), 0.0, "{name}");
+        assert_eq!(scalar(mask_loss(empty, &thin, None, 2)), 0.0, "{name}");
     }
 }
 
@@ -263,7 +267,7 @@ fn gradient_of_the_mask_loss() {
             &[("mask", [9, 12], unit_noise(108, 4))],
             &[],
             GradLimits::default(),
-            |inputs| mask_loss(inputs[0].clone(), &target, 1),
+            |inputs| mask_loss(inputs[0].clone(), &target, None, 1),
         );
     }
 }

@@ -304,13 +304,77 @@ fn a_broken_checkpoint_is_an_error_that_names_the_file() {
     );
 }
 
-#[test]
-fn a_static_scene_without_blur_models_neither() {
+fn still_scene() -> Scene {
     let mut still = scene();
     still.tracks = None;
     for frame in &mut still.frames {
         frame.mask = None;
     }
+    still
+}
+
+/// The checkpoint's header is text: every number in it must come back as it was.
+#[test]
+fn any_scene_size_survives_the_checkpoint() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for depth in [1.837_003_8_f32, 9.707_077, 0.311_234_5, 87.654_32] {
+        let flat = || {
+            let mut scene = still_scene();
+            for map in scene.frames.iter_mut().filter_map(|f| f.depth.as_mut()) {
+                map.values.fill(depth);
+            }
+            scene
+        };
+        let device = Device::flex();
+        let trainer = Trainer::new(flat(), settings(), &device).expect("a trainer");
+        assert_eq!(trainer.survey().scene_size, f64::from(depth));
+        trainer.save(folder.path()).expect("saved");
+        Trainer::load(folder.path(), flat(), &device).expect("loaded");
+    }
+}
+
+#[test]
+fn a_mover_that_fills_the_view_leaves_nothing_static_and_trains() {
+    let mut filled = scene();
+    for mask in filled.frames.iter_mut().filter_map(|f| f.mask.as_mut()) {
+        mask.values.fill(1.0);
+    }
+    let mut trainer = Trainer::new(filled, settings(), &Device::flex()).expect("a trainer");
+    assert_eq!(
+        trainer.model().num_dynamic,
+        trainer.model().num_gaussians(),
+        "nothing is static"
+    );
+    for _ in 0..30 {
+        trainer.step().expect("a step");
+    }
+}
+
+/// Density control, which comes first, may not take all the room there is.
+#[test]
+fn dynamic_densification_finds_room_under_the_limit() {
+    let mut settings = settings();
+    settings.blur.enabled = false;
+    settings.gaussians.initial_static_per_pixel = 6.0;
+    settings.gaussians.gradient_threshold = 1e-12;
+    settings.motion.densify_at = 16_000;
+    let mut trainer = Trainer::new(scene(), settings, &Device::flex()).expect("a trainer");
+    for _ in 0..79 {
+        trainer.step().expect("a step");
+    }
+    let (all, dynamic) = (trainer.model().num_gaussians(), trainer.model().num_dynamic);
+    trainer.step().expect("a step");
+    assert_eq!(trainer.schedule().densify_dynamic_at, Some(80));
+    let added = trainer.model().num_dynamic - dynamic;
+    assert!(
+        added > 0 && trainer.model().num_gaussians() == 20_000,
+        "{all} Gaussians, then {added} more"
+    );
+}
+
+#[test]
+fn a_static_scene_without_blur_models_neither() {
+    let still = still_scene();
     let mut settings = settings();
     settings.blur.enabled = false;
     let mut trainer = Trainer::new(still, settings, &Device::flex()).expect("a trainer");

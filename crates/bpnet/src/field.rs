@@ -43,7 +43,7 @@ pub fn kernel_center_loss(field: &BlurField) -> Tensor<1> {
         .squeeze_dim::<2>(2);
     let intensity = constant(field.intensity.clone());
     let target = activation::sigmoid((intensity - 1.0) * -5.0);
-    (target - center).abs().mean()
+    (target - center).abs().mean_dim(1).mean()
 }
 
 /// Where the blur moves each pixel's light on average: `m Σ k Δ`, `[H, W, 2]`, in pixels, x before y.

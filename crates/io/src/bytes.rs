@@ -7,7 +7,18 @@ use crate::IoError;
 
 /// The whole file. Its length is the file's own, not one that a header claims.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, IoError> {
+    check_regular(path)?;
     fs::read(path).map_err(|e| IoError::access(path, e))
+}
+
+/// Refuses what has no end (`/dev/zero`) or may never begin (a named pipe).
+pub(crate) fn check_regular(path: &Path) -> Result<(), IoError> {
+    let found = fs::metadata(path).map_err(|e| IoError::access(path, e))?;
+    if found.is_file() {
+        Ok(())
+    } else {
+        Err(IoError::malformed(path, "this is no regular file"))
+    }
 }
 
 /// A cursor over little-endian binary data.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder as _, ImageFormat, ImageReader};
 
-use crate::bytes::read_file;
+use crate::bytes::{check_regular, read_file};
 use crate::{IoError, write_atomic};
 
 /// A colour picture.
@@ -34,8 +34,8 @@ pub struct Map {
 /// refused before its pixels are allocated.
 pub(crate) const MAX_PACKING: u64 = 1100;
 
-/// No picture of a video comes near; larger ones are refused before they are allocated.
-const MAX_BYTES: u64 = 2 << 30;
+/// No picture of a video comes near (8K has 33 million); larger ones are refused before they are allocated.
+const MAX_PIXELS: u64 = 100_000_000;
 
 fn decode(path: &Path) -> Result<DynamicImage, IoError> {
     let data = read_file(path)?;
@@ -50,7 +50,7 @@ fn decode(path: &Path) -> Result<DynamicImage, IoError> {
         ));
     }
     let mut limits = image::Limits::default();
-    limits.max_alloc = Some(MAX_BYTES);
+    limits.max_alloc = Some(8 * MAX_PIXELS);
     reader.limits(limits);
 
     let bad = |e: image::ImageError| match e {
@@ -64,8 +64,9 @@ fn decode(path: &Path) -> Result<DynamicImage, IoError> {
     };
     let decoder = reader.into_decoder().map_err(bad)?;
     let (width, height) = decoder.dimensions();
-    let promised = decoder.total_bytes();
-    if promised > MAX_BYTES || promised > MAX_PACKING * data.len() as u64 + 4096 {
+    let pixels = u64::from(width) * u64::from(height);
+    // A pixel takes a bit or more before it is packed.
+    if pixels > MAX_PIXELS || pixels / 8 > MAX_PACKING * data.len() as u64 + 4096 {
         return Err(IoError::truncated(
             path,
             format!("promises {width}x{height} pixels in {} bytes", data.len()),
@@ -90,6 +91,7 @@ fn is_whole(data: &[u8], format: Option<ImageFormat>) -> bool {
 
 /// A picture's width and height, from its header alone.
 pub(crate) fn read_size(path: &Path) -> Result<(usize, usize), IoError> {
+    check_regular(path)?;
     let (width, height) = image::image_dimensions(path)
         .map_err(|e| IoError::malformed(path, format!("not a picture that can be read: {e}")))?;
     Ok((width as usize, height as usize))

@@ -256,7 +256,8 @@ fn assemble(root: PathBuf, plan: Plan, options: &LoadOptions) -> Result<Scene, I
     })
 }
 
-/// Masks that are empty in every frame count as none; masks stored as 0 and 1 of 255 are stretched.
+/// Masks that are empty in every frame count as none; masks stored as 0 and 1 of 255 are stretched; in
+/// masks that hold small numbers (of instances, say) everything above 0 moves.
 fn settle_masks(frames: &mut [Frame], largest: f32, notes: &mut Vec<String>) {
     const ONE_STEP: f32 = 1.0 / 255.0;
     if frames.iter().all(|f| f.mask.is_none()) {
@@ -272,6 +273,16 @@ fn settle_masks(frames: &mut [Frame], largest: f32, notes: &mut Vec<String>) {
         for mask in frames.iter_mut().filter_map(|f| f.mask.as_mut()) {
             for value in &mut mask.values {
                 *value /= largest;
+            }
+        }
+    } else if largest <= 0.5 {
+        notes.push(format!(
+            "the masks' largest value is {:.0} of 255: read as numbers of instances, all above 0 moves",
+            255.0 * largest
+        ));
+        for mask in frames.iter_mut().filter_map(|f| f.mask.as_mut()) {
+            for value in &mut mask.values {
+                *value = f32::from(*value >= 0.5 * ONE_STEP);
             }
         }
     }

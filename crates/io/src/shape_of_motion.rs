@@ -14,8 +14,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use splat_core::Camera;
-
 use crate::colmap::{Model, ModelImage, find_model, read_model};
 use crate::error::list_names;
 use crate::folder::{Listing, PICTURES, list, stem_of};
@@ -49,7 +47,6 @@ pub(crate) fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> 
     })?;
     let model = read_model(&model_at)?;
     let pairing = pair(&stems, &test_stems, &model, &mut notes)?;
-    let cameras = Cameras::new(&model)?;
 
     let disparity_at = preprocessed.join("aligned_depth_anything_colmap");
     let disparity = list(&disparity_at, &["npy"])?;
@@ -60,7 +57,13 @@ pub(crate) fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> 
     let mut frames = Vec::with_capacity(stems.len());
     for (i, (name, image)) in stems.iter().zip(paths).enumerate() {
         frames.push(PlannedFrame {
-            view: cameras.view(name, image, &model.images[pairing.training[i]], i as f32)?,
+            view: planned_view(
+                &model,
+                name,
+                image,
+                &model.images[pairing.training[i]],
+                i as f32,
+            )?,
             depth: disparity
                 .as_ref()
                 .map(|d| DepthFile::Disparity(d[i].clone())),
@@ -70,7 +73,7 @@ pub(crate) fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> 
     let mut test = Vec::new();
     for (name, &(at, time)) in test_stems.iter().zip(&pairing.test) {
         let image = test_images.files[name].clone();
-        test.push(cameras.view(name, image, &model.images[at], time)?);
+        test.push(planned_view(&model, name, image, &model.images[at], time)?);
     }
     Ok(Plan {
         format: SceneFormat::ShapeOfMotion,
@@ -130,46 +133,31 @@ fn optional(
     listing.pick(stems, folder, what, advice).map(Some)
 }
 
-/// The pinholes of a model, by number.
-struct Cameras<'a> {
-    pinholes: BTreeMap<u32, Camera>,
-    model: &'a Model,
-}
-
-impl<'a> Cameras<'a> {
-    fn new(model: &'a Model) -> Result<Self, IoError> {
-        let mut pinholes = BTreeMap::new();
-        for (&id, lens) in &model.cameras {
-            pinholes.insert(id, lens.clone().into_pinhole(&model.cameras_path)?);
-        }
-        Ok(Self { pinholes, model })
-    }
-
-    fn view(
-        &self,
-        name: &str,
-        image: PathBuf,
-        posed: &ModelImage,
-        time: f32,
-    ) -> Result<PlannedView, IoError> {
-        let camera = self.pinholes.get(&posed.camera_id).ok_or_else(|| {
-            IoError::malformed(
-                &self.model.images_path,
-                format!(
-                    "image {} has camera {}, which is not there",
-                    posed.name, posed.camera_id
-                ),
-            )
-        })?;
-        Ok(PlannedView {
-            name: name.into(),
-            image,
-            camera: camera.clone(),
-            camera_file: self.model.cameras_path.clone(),
-            cam_from_world: posed.cam_from_world,
-            time,
-        })
-    }
+/// A view with its camera, which must be a pinhole. (Cameras that no view has may be what they like.)
+fn planned_view(
+    model: &Model,
+    name: &str,
+    image: PathBuf,
+    posed: &ModelImage,
+    time: f32,
+) -> Result<PlannedView, IoError> {
+    let lens = model.cameras.get(&posed.camera_id).ok_or_else(|| {
+        IoError::malformed(
+            &model.images_path,
+            format!(
+                "image {} has camera {}, which is not there",
+                posed.name, posed.camera_id
+            ),
+        )
+    })?;
+    Ok(PlannedView {
+        name: name.into(),
+        image,
+        camera: lens.clone().into_pinhole(&model.cameras_path)?,
+        camera_file: model.cameras_path.clone(),
+        cam_from_world: posed.cam_from_world,
+        time,
+    })
 }
 
 /// Which of the model's images belongs to which file.

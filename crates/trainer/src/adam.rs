@@ -142,15 +142,31 @@ pub struct NonFiniteGradient {
     pub value: f64,
 }
 
+/// Checks every entry of a gradient, [N, C], before anything is stepped.
+///
+/// # Errors
+/// Names the first entry that is not finite.
+pub fn check_gradient(grad: &Tensor<2>) -> Result<(), NonFiniteGradient> {
+    let columns = grad.dims()[1];
+    with_real!(grad.dtype(), T => {
+        let grad = values::<T, 2>(grad.clone());
+        match grad.iter().position(|g| !g.finite()) {
+            None => Ok(()),
+            Some(at) => Err(NonFiniteGradient {
+                row: at / columns,
+                column: at % columns,
+                value: grad[at].wide(),
+            }),
+        }
+    })
+}
+
 /// One step of Adam on `param` [N, C], in place: afterwards it is a new leaf that requires its gradient if it was on
 /// an autodiff device, a plain tensor otherwise.
 ///
-/// `grad` [N, C] is what `param.grad_remove(..)` gives. No graph is recorded. An element whose gradient is
+/// `grad` [N, C] is what `param.grad_remove(..)` gives, and finite ([`check_gradient`]). No graph is recorded. An element whose gradient is
 /// zero and whose moments are zero does not move. Magnitudes above 1e15 count as 1e15. Without other handles to
 /// `param` its buffer is reused.
-///
-/// # Errors
-/// [`NonFiniteGradient`] names the first such element; nothing has been changed then.
 ///
 /// # Panics
 /// Panics if the shapes or dtypes of `param`, `grad` and `state` differ, or if the number of learning rates is
@@ -161,7 +177,7 @@ pub fn adam_step(
     state: &mut AdamState,
     rate: &LearningRate,
     options: &AdamOptions,
-) -> Result<(), NonFiniteGradient> {
+) {
     let shape = param.dims();
     assert_eq!(shape, grad.dims(), "a gradient has its parameter's shape");
     assert_eq!(
@@ -173,13 +189,6 @@ pub fn adam_step(
     let (device, dtype) = (param.device().inner(), param.dtype());
     with_real!(dtype, T => {
         let grad = values::<T, 2>(grad);
-        if let Some(at) = grad.iter().position(|g| !g.finite()) {
-            return Err(NonFiniteGradient {
-                row: at / shape[1],
-                column: at % shape[1],
-                value: grad[at].wide(),
-            });
-        }
         // What stays behind must not hold the buffer, or it would be copied.
         let take = |tensor: &mut Tensor<2>| {
             let placeholder = Tensor::zeros([1, 1], (&device, dtype));
@@ -198,7 +207,6 @@ pub fn adam_step(
         state.moment2 = tensor(v);
         *param = leaf(tensor(p), autodiff);
     });
-    Ok(())
 }
 
 /// The update on slices; `tile` holds the learning rates of whole rows and is repeated.

@@ -105,16 +105,6 @@ impl Trainer {
         Ok(io::write_atomic(&path, |file| file.write_all(&bytes))?)
     }
 
-    /// The settings that a checkpoint was written with.
-    ///
-    /// # Errors
-    /// The file cannot be read or is no checkpoint of this version.
-    pub fn saved_settings(folder: &Path) -> Result<Settings, TrainError> {
-        let path = folder.join(FILE_NAME);
-        let bytes = read(&path)?;
-        Ok(header(&path, &bytes)?.settings)
-    }
-
     /// Reads a checkpoint back, to go on from it or to render. `scene` is the one that was trained on.
     ///
     /// # Errors

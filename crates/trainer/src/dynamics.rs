@@ -2,7 +2,7 @@
 //! densification that the paper calls dynamic (method facts 2.3 to 2.6 and 7.1).
 
 use crate::TrainError;
-use crate::adam::LearningRate;
+use crate::adam::{LearningRate, check_gradient};
 use crate::lifting::lift_tracks;
 use crate::model::{GaussianTensors, Model, MotionModel, host};
 use crate::neighbors::{Neighbors, mean_neighbor_distances};
@@ -74,8 +74,8 @@ pub(crate) fn start_dynamics(
     let at_canonical: Vec<DVec3> = (0..kept)
         .map(|p| init.tracks.positions[p * frames + canonical])
         .collect();
-    let mut rots = start(init.rots.clone(), [bases, frames * 6]);
-    let mut transls = start(init.transls.clone(), [bases, frames * 3]);
+    let MotionBases { rots, transls, .. } = MotionBases::from_init(&init, device, dtype);
+    let (mut rots, mut transls) = (rots.require_grad(), transls.require_grad());
     let mut coefficients = start(
         init.coefficients.iter().map(|&c| f64::from(c)).collect(),
         [kept, bases],
@@ -104,13 +104,15 @@ pub(crate) fn start_dynamics(
         ];
         for (name, parameter, rate) in groups {
             let rate = LearningRate::Uniform(rate * decay);
-            optimizer
-                .step(name, parameter, &mut grads, &rate)
-                .map_err(|problem| TrainError::FirstFit {
-                    step,
-                    name,
-                    problem,
-                })?;
+            let Some(grad) = parameter.grad_remove(&mut grads) else {
+                continue;
+            };
+            check_gradient(&grad).map_err(|problem| TrainError::FirstFit {
+                step,
+                name,
+                problem,
+            })?;
+            optimizer.step(name, parameter, grad, &rate);
         }
     }
 
@@ -188,8 +190,7 @@ pub(crate) struct NewDynamic {
 /// Dynamic densification: lifts dynamic pixels of every frame, and maps each into the canonical frame
 /// with the motion of the dynamic Gaussian that is nearest to it at that time, whose coefficients it takes.
 ///
-/// At most `room` Gaussians come in all. A frame adds at most `densify_per_frame`, and all frames together two for each pixel of
-/// the largest mask (as many as static Gaussians start with), so that a small mover is not buried in copies of itself.
+/// A frame adds at most [`densify_share`], and at most `room` Gaussians come in all.
 pub(crate) fn densify(
     model: &Model,
     scene: &Scene,
@@ -199,19 +200,9 @@ pub(crate) fn densify(
 ) -> Option<NewDynamic> {
     let model = model.detached();
     let motion = model.motion.as_ref()?;
-    let pixels: Vec<Vec<usize>> = scene
-        .frames
-        .iter()
-        .map(|f| dynamic_pixels(f, settings))
-        .collect();
-    let largest = pixels.iter().map(Vec::len).max().unwrap_or(0);
-    let frames = scene.frames.len();
-    let share = (2 * largest)
-        .div_ceil(frames)
-        .min(settings.motion.densify_per_frame)
-        .min(room / frames);
+    let share = densify_share(scene, settings).min(room / scene.frames.len());
     let (mut means, mut colors, mut parents) = (Vec::new(), Vec::new(), Vec::new());
-    for (index, (frame, candidates)) in scene.frames.iter().zip(&pixels).enumerate() {
+    for (index, frame) in scene.frames.iter().enumerate() {
         let Some(depth) = &frame.depth else { continue };
         let at = motion
             .bases
@@ -220,6 +211,7 @@ pub(crate) fn densify(
         let (rotations, translations) = (host(at.rotations), to_points(&host(at.translations)));
         let tree = Neighbors::new(&posed)?;
         let mut rng = generator(settings.seed, Purpose::DynamicDensification, index as u64);
+        let candidates = dynamic_pixels(frame, settings);
         for j in sample(&mut rng, candidates.len(), share) {
             let i = candidates[j];
             let world = lift(frame, i, f64::from(depth.values[i]));
@@ -257,6 +249,19 @@ pub(crate) fn densify(
         ),
         parents,
     })
+}
+
+/// The most dynamic Gaussians that a frame adds in [`densify`]: at most `densify_per_frame`, and all frames together two for each
+/// pixel of the largest mask (as many as static Gaussians start with), so that a small mover is not buried in copies of itself.
+pub(crate) fn densify_share(scene: &Scene, settings: &Settings) -> usize {
+    let sizes = scene
+        .frames
+        .iter()
+        .map(|f| dynamic_pixels(f, settings).len());
+    let largest = sizes.max().unwrap_or(0);
+    (2 * largest)
+        .div_ceil(scene.frames.len())
+        .min(settings.motion.densify_per_frame)
 }
 
 /// Pixels that certainly show a mover: inside the mask, with depth, off depth edges.

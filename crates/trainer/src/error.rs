@@ -14,9 +14,6 @@ pub enum TrainError {
         /// What is wrong and what is allowed.
         problem: String,
     },
-    /// The settings do not parse.
-    #[error("settings: {0}")]
-    Settings(String),
     /// The scene cannot be trained on.
     #[error("scene: {0}")]
     Scene(String),
@@ -57,7 +54,7 @@ pub enum TrainError {
     /// A gradient is not finite.
     #[error(
         "iteration {iteration}, view {view}: the gradient of `{parameter}` is not finite ({problem}); \
-         go on from the last checkpoint, with a lower learning rate or without the setting that was changed last"
+         the state before this iteration is unharmed and can be saved; try a lower learning rate, or go without the setting that was changed last"
     )]
     Gradient {
         /// 1-based iteration.

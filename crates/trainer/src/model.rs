@@ -148,24 +148,16 @@ impl Model {
         let n = self.num_gaussians();
         let (mut means, mut left_rotations, mut dynamic) = (self.means.clone(), None, None);
         if let Some(motion) = self.motion_at(time) {
-            let moved = motion.transform_means(&self.dynamic_means());
-            means = Tensor::cat(
-                vec![
-                    moved,
-                    self.means
-                        .clone()
-                        .narrow(0, self.num_dynamic, n - self.num_dynamic),
-                ],
-                0,
-            );
+            let mut parts = vec![motion.transform_means(&self.dynamic_means())];
+            parts.extend(rows_from(&self.means, self.num_dynamic));
+            means = Tensor::cat(parts, 0);
             left_rotations = Some(motion.rotations);
             let (device, dtype) = (self.means.device(), self.means.dtype());
-            dynamic = Some(Tensor::cat(
-                vec![
-                    Tensor::ones([self.num_dynamic, 1], (&device, dtype)),
-                    Tensor::zeros([n - self.num_dynamic, 1], (&device, dtype)),
-                ],
-                0,
+            let mut flags = vec![0.0_f32; n];
+            flags[..self.num_dynamic].fill(1.0);
+            dynamic = Some(Tensor::from_data(
+                TensorData::new(flags, [n, 1]),
+                (&device, dtype),
             ));
         }
         let splats = Splats {
@@ -267,6 +259,12 @@ fn rows<const C: usize>(tensor: &Tensor<2>) -> Vec<[f32; C]> {
 /// The same values without a graph. (`detach` would not do: it keeps a leaf's wish for a gradient.)
 pub(crate) fn constant(tensor: &Tensor<2>) -> Tensor<2> {
     Tensor::from_inner(tensor.clone().inner())
+}
+
+/// The rows from `start` on; `None` where there are none, since Burn cannot narrow to nothing.
+pub(crate) fn rows_from(tensor: &Tensor<2>, start: usize) -> Option<Tensor<2>> {
+    let rest = tensor.dims()[0] - start;
+    (rest > 0).then(|| tensor.clone().narrow(0, start, rest))
 }
 
 /// The values of a tensor on the host, as f32.

@@ -1,10 +1,10 @@
 //! Adam for every parameter, by name, and each parameter's learning rate.
 
-use crate::adam::{AdamOptions, AdamState, LearningRate, NonFiniteGradient, adam_step};
+use crate::adam::{AdamOptions, AdamState, LearningRate, adam_step};
 use crate::density::RowEdit;
 use crate::schedule::{REFERENCE_ITERATIONS, Schedule};
 use crate::settings::LearningRates;
-use burn::tensor::{Gradients, Tensor};
+use burn::tensor::Tensor;
 use std::collections::BTreeMap;
 
 /// Moments of all parameters, by the parameters' names.
@@ -14,22 +14,19 @@ pub(crate) struct Optimizer {
 }
 
 impl Optimizer {
-    /// Steps one parameter with its gradient; without a gradient it stays as it is.
+    /// Steps one parameter with its gradient, which is finite.
     pub(crate) fn step(
         &mut self,
         name: &str,
         parameter: &mut Tensor<2>,
-        grads: &mut Gradients,
+        grad: Tensor<2>,
         rate: &LearningRate,
-    ) -> Result<(), NonFiniteGradient> {
-        let Some(grad) = parameter.grad_remove(grads) else {
-            return Ok(());
-        };
+    ) {
         let state = self
             .states
             .entry(name.to_owned())
             .or_insert_with(|| AdamState::new(parameter));
-        adam_step(parameter, grad, state, rate, &AdamOptions::default())
+        adam_step(parameter, grad, state, rate, &AdamOptions::default());
     }
 
     /// Follows an edit of a parameter's rows.
@@ -70,11 +67,10 @@ impl Rates<'_> {
             "motion.transls" => r.bases * motion() * self.scene_size,
             "motion.coefficients" => r.coefficients * motion(),
             _ => {
-                // The paper's long run decays to a fiftieth over 35,000 iterations; a short one less.
                 let (share, length) = if self.schedule.iterations < REFERENCE_ITERATIONS {
-                    (r.blur_final_share, REFERENCE_ITERATIONS)
+                    (r.blur_short_run_share, REFERENCE_ITERATIONS)
                 } else {
-                    (0.02, 35_000)
+                    (r.blur_final_share, r.blur_decay)
                 };
                 r.blur * boost * decay(share, length)
             }

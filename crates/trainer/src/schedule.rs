@@ -156,7 +156,7 @@ impl Schedule {
         !events
             .into_iter()
             .flatten()
-            .any(|event| event > it && event <= it + 1000)
+            .any(|event| event >= it && event <= it + 1000)
     }
 
     /// Factor on a learning rate that falls log-linearly from 1 to `final_share` over `length` iterations of 40,000.
@@ -252,7 +252,11 @@ mod tests {
         let resets: Vec<usize> = (1..=40_000)
             .filter(|&it| sharp.resets_opacity(it))
             .collect();
-        assert_eq!(resets, vec![3000, 6000, 9000, 12_000]);
+        assert_eq!(
+            resets,
+            vec![6000, 9000, 12_000],
+            "unseen views follow on 3,000"
+        );
         assert!((1..=9999).all(|it| !schedule(9999, 24).resets_opacity(it)));
     }
 

@@ -291,8 +291,12 @@ pub struct LearningRates {
     pub motion_final_share: f64,
     /// BP-Net, extractor and embeddings at the start.
     pub blur: f64,
-    /// The same at the end, as a share of the start, in runs under 40,000 iterations (0.02 in longer ones).
+    /// The same at the end of a run of 40,000 iterations or more, as a share of the start.
     pub blur_final_share: f64,
+    /// The decay to it takes so many iterations (of 40,000).
+    pub blur_decay: usize,
+    /// The same at the end of a shorter run, over its whole length.
+    pub blur_short_run_share: f64,
     /// In short runs blur, bases and coefficients learn faster by `min(this, s^-1/2)`, s = iterations / 40,000.
     pub short_run_boost: f64,
 }
@@ -312,19 +316,23 @@ impl Default for LearningRates {
             bases: 1.6e-4,
             motion_final_share: 0.01,
             blur: 5e-4,
-            blur_final_share: 0.1,
+            blur_final_share: 0.02,
+            blur_decay: 35_000,
+            blur_short_run_share: 0.1,
             short_run_boost: 4.0,
         }
     }
 }
 
 impl Settings {
-    /// The paper's text where it differs from the defaults: motion learns at a constant rate, no
+    /// The paper's text where it differs from the defaults: motion and blur learn at constant rates, no
     /// hold, no gauge, the blur model's head as a framework initialises it (the paper says nothing about it).
     #[must_use]
     pub fn paper() -> Self {
         let mut settings = Self::default();
         settings.learning_rates.motion_final_share = 1.0;
+        settings.learning_rates.blur_final_share = 1.0;
+        settings.learning_rates.blur_short_run_share = 1.0;
         settings.blur.hold = 0;
         settings.blur.mild_start = false;
         settings.loss.gauge = 0.0;
@@ -366,12 +374,22 @@ impl Settings {
             "gaussians.initial_opacity",
             "between 0 and 1, both excluded",
         )?;
+        check(
+            (0.0..1.0).contains(&g.prune_opacity),
+            "gaussians.prune_opacity",
+            "0 or more and under 1",
+        )?;
+        check(
+            (0.0..=256.0).contains(&g.mask_margin),
+            "gaussians.mask_margin",
+            "0 to 256 (pixels of a picture 256 wide)",
+        )?;
         let k = self.blur.kernel_size;
         check(k % 2 == 1 && k <= 15, "blur.kernel_size", "odd, 1 to 15")?;
         check(
-            self.blur.gauge_cells.iter().all(|&n| n > 0),
+            self.blur.gauge_cells.iter().all(|n| (1..=64).contains(n)),
             "blur.gauge_cells",
-            "two positive numbers",
+            "two numbers, 1 to 64",
         )?;
         check(self.motion.num_bases > 0, "motion.num_bases", "positive")?;
         check(self.unseen.every > 0, "unseen.every", "positive")?;
@@ -391,6 +409,10 @@ impl Settings {
             (l.means_final, "learning_rates.means_final"),
             (l.motion_final_share, "learning_rates.motion_final_share"),
             (l.blur_final_share, "learning_rates.blur_final_share"),
+            (
+                l.blur_short_run_share,
+                "learning_rates.blur_short_run_share",
+            ),
             (l.short_run_boost, "learning_rates.short_run_boost"),
         ];
         for (value, key) in positive {
@@ -398,8 +420,6 @@ impl Settings {
         }
         let w = &self.loss;
         let not_negative = [
-            (g.mask_margin, "gaussians.mask_margin"),
-            (g.prune_opacity, "gaussians.prune_opacity"),
             (g.max_per_pixel, "gaussians.max_per_pixel"),
             (self.unseen.offset, "unseen.offset"),
             (self.unseen.sharpness, "unseen.sharpness"),

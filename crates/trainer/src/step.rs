@@ -1,13 +1,14 @@
 //! One iteration: pose, render, blur, losses, backward, Adam, density control.
 
 use crate::TrainError;
+use crate::adam::check_gradient;
 use crate::density::{
     DensityOptions, DensityStats, RowEdit, add_to_rows, gather_rows, plan_density, reset_opacity,
     split_offsets,
 };
-use crate::dynamics::densify;
+use crate::dynamics::{densify, densify_share};
 use crate::losses;
-use crate::model::{constant, host};
+use crate::model::{constant, host, rows_from};
 use crate::optimizer::Rates;
 use crate::random::{Purpose, generator};
 use crate::real::leaf;
@@ -64,8 +65,7 @@ impl Trainer {
     ///
     /// # Errors
     /// All iterations are done; a loss term or a gradient is not finite; the renderer refuses its input.
-    /// After an error the trainer holds the state of the last whole iteration, except after
-    /// [`TrainError::Gradient`], after which it must not be saved.
+    /// After an error the trainer holds the state of the last whole iteration.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
         if self.is_done() {
             return Err(TrainError::Finished {
@@ -222,11 +222,12 @@ impl Trainer {
         }
         if let (Some(mask), Some(dynamic)) = (view.mask, rendered.features()) {
             terms.add("mask", weights.mask, || {
-                losses::mask_loss(dynamic.squeeze_dim(2), mask, losses::mask_band(view.width))
+                let band = losses::mask_band(view.width);
+                losses::mask_loss(dynamic.squeeze_dim(2), mask, view.valid, band)
             });
         }
         let field = field?;
-        if self.schedule.has_downsample(it) {
+        if self.schedule.has_downsample(it) && !view.is_unseen() {
             terms.add("downsample", weights.downsample, || {
                 losses::downsample_loss(sharp, target, 4)
             });
@@ -296,16 +297,26 @@ impl Trainer {
             scene_size: self.survey.scene_size,
             sh_columns: self.model.sh.dims()[1],
         };
-        for (name, parameter) in self.model.parameters_mut() {
-            let rate = rates.of(&name, it);
-            self.optimizer
-                .step(&name, parameter, grads, &rate)
-                .map_err(|problem| TrainError::Gradient {
-                    iteration: it,
-                    view: view.to_owned(),
-                    parameter: name,
-                    problem,
-                })?;
+        // All are checked before one is stepped: after an error the state is whole.
+        let mut taken = Vec::new();
+        for (name, parameter) in self.model.parameters() {
+            let Some(grad) = parameter.grad_remove(grads) else {
+                taken.push(None);
+                continue;
+            };
+            check_gradient(&grad).map_err(|problem| TrainError::Gradient {
+                iteration: it,
+                view: view.to_owned(),
+                parameter: name,
+                problem,
+            })?;
+            taken.push(Some(grad));
+        }
+        for ((name, parameter), grad) in self.model.parameters_mut().into_iter().zip(taken) {
+            if let Some(grad) = grad {
+                self.optimizer
+                    .step(&name, parameter, grad, &rates.of(&name, it));
+            }
         }
         Ok(())
     }
@@ -336,6 +347,16 @@ impl Trainer {
         LEAST_MAX_GAUSSIANS.max((per_pixel * pixels as f64) as usize)
     }
 
+    /// Room that density control leaves at iteration `it` for the dynamic densification to come.
+    fn reserved(&self, it: usize) -> usize {
+        let is_to_come = self.schedule.densify_dynamic_at.is_some_and(|at| it < at);
+        if is_to_come {
+            self.scene.frames.len() * densify_share(&self.scene, &self.settings)
+        } else {
+            0
+        }
+    }
+
     fn control_density(&mut self, it: usize) {
         let g = &self.settings.gaussians;
         let size = self.survey.scene_size;
@@ -348,7 +369,7 @@ impl Trainer {
                 .prunes_scale(it)
                 .then_some((g.prune_scale * size) as f32),
             prune_opacity: g.prune_opacity as f32,
-            max_gaussians: self.max_gaussians(),
+            max_gaussians: self.max_gaussians().saturating_sub(self.reserved(it)),
         };
         let (log_scales, quats) = (
             host(self.model.log_scales.clone()),
@@ -419,13 +440,9 @@ fn edit_of(name: &str, edit: &RowEdit) -> Option<RowEdit> {
 
 /// `tensor` with `rows` inserted before row `at`: a new leaf.
 fn insert_rows(tensor: &Tensor<2>, at: usize, rows: &Tensor<2>) -> Tensor<2> {
-    let n = tensor.dims()[0];
     let old = tensor.clone().inner();
-    let parts = vec![
-        old.clone().narrow(0, 0, at),
-        rows.clone().inner(),
-        old.narrow(0, at, n - at),
-    ];
+    let mut parts = vec![old.clone().narrow(0, 0, at), rows.clone().inner()];
+    parts.extend(rows_from(&old, at));
     leaf(Tensor::cat(parts, 0), tensor.is_autodiff())
 }
 
@@ -455,8 +472,6 @@ fn without_graph(net: &BpNet) -> BpNet {
 
 /// PSNR in dB of detached pictures.
 fn current_psnr(a: &Tensor<3>, b: &Tensor<3>) -> f64 {
-    let error = (a.clone().detach() - b.clone().detach())
-        .powi_scalar(2)
-        .mean();
-    -10.0 * f64::from(host(error)[0]).max(1e-12).log10()
+    let error = (a.clone().detach() - b.clone().detach()).powi_scalar(2);
+    -10.0 * f64::from(host(losses::mean(error))[0]).max(1e-12).log10()
 }

@@ -24,6 +24,13 @@ pub struct Survey {
 /// The scene has neither depth nor sparse points in front of its cameras.
 pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
     let mut notes = Vec::new();
+    for frame in &mut scene.frames {
+        // A map without a single depth is no map.
+        frame.depth = frame
+            .depth
+            .take()
+            .filter(|m| m.values.iter().any(|&z| z > 0.0));
+    }
     let depth = scene.frames.iter().any(|f| f.depth.is_some());
     if depth {
         let aligned = scene
@@ -65,7 +72,7 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
     if depths.is_empty() {
         return Err(TrainError::Scene(
             "there is neither depth nor a sparse point in front of a camera, so nothing says where to place Gaussians; \
-             add depth maps or a COLMAP model with points"
+             add depth maps or sparse points (a COLMAP model with points; for transforms.json, `ply_file_path`)"
                 .to_owned(),
         ));
     }
@@ -81,7 +88,7 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         .is_some_and(|t| t.queries.iter().any(|q| !q.samples.is_empty()));
     let movers = masked && tracked && depth;
     notes.push(match (masked, tracked, depth) {
-        (true, true, true) => "masks and tracks show movers: motion bases are used".to_owned(),
+        (true, true, true) => "masks and tracks show movers".to_owned(),
         (true, true, false) => {
             "masks and tracks are ignored: movers need depth to be lifted".to_owned()
         }

@@ -68,6 +68,10 @@ impl Trainer {
         } else {
             None
         };
+        if survey.movers && dynamics.is_none() {
+            let note = "no track can be lifted (all are hidden, outside the masks or without depth): no motion bases";
+            survey.notes.push(note.to_owned());
+        }
         survey.movers = dynamics.is_some();
         let still = if survey.depth {
             place_static(&scene, &settings.gaussians, settings.seed)

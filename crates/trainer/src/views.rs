@@ -37,7 +37,8 @@ pub(crate) struct ViewRef<'a> {
     pub(crate) depth: Option<&'a [f32]>,
     /// Dynamic mask, [H, W].
     pub(crate) mask: Option<&'a [f32]>,
-    valid: Option<&'a [bool]>,
+    /// Pixels that have a target, [H, W]; `None` where all have one.
+    pub(crate) valid: Option<&'a [bool]>,
 }
 
 impl<'a> ViewRef<'a> {

@@ -310,3 +310,18 @@ fn other_kinds_of_files_are_named() {
     fs::write(som.path("transforms.json"), "{\"frames\": [").unwrap();
     error_names(som.root(), "transforms.json", "half a file");
 }
+
+/// Neither what has no end nor what never begins keeps the loader busy.
+#[cfg(unix)]
+#[test]
+fn what_is_no_regular_file_is_refused() {
+    for file in [
+        "images/00001.png",
+        "flow3d_preprocessed/2d_tracks/00000_00000.npy",
+    ] {
+        let som = Som::new();
+        som.remove(file);
+        std::os::unix::fs::symlink("/dev/zero", som.path(file)).unwrap();
+        error_names(som.root(), file, "a file without end");
+    }
+}

@@ -7,7 +7,8 @@ use glam::DVec3;
 use io::{IoError, LoadOptions, Scene, SceneFormat};
 
 use crate::make::{
-    self, FOCAL, FRAMES, HEIGHT, POINTS, Som, WIDTH, colmap_binary, colmap_text, names, npy,
+    self, FOCAL, FRAMES, HEIGHT, PINHOLE, POINTS, Som, WIDTH, colmap_binary, colmap_text, names,
+    npy,
 };
 
 fn downscaled(downscale: usize) -> LoadOptions {
@@ -315,6 +316,39 @@ fn masks_of_zero_and_one_are_stretched() {
 }
 
 #[test]
+fn masks_of_small_numbers_move_where_they_are_not_zero() {
+    let som = Som::new();
+    for i in 0..FRAMES {
+        let at = som.path(&format!("masks/{i:05}.png"));
+        make::picture(&at, (WIDTH, HEIGHT), |x, _| x.min(3) as u8);
+    }
+    let scene = Scene::open(som.root()).unwrap();
+    assert_eq!(
+        scene.frames[0].mask.as_ref().unwrap().values[..5],
+        [0.0, 1.0, 1.0, 1.0, 1.0]
+    );
+    let told = |note: &String| note.contains("3 of 255");
+    assert!(scene.notes.iter().any(told), "{:?}", scene.notes);
+}
+
+/// One bit a pixel packs eight times better than one byte, and is no broken file for that.
+#[test]
+fn masks_of_one_bit_are_read() {
+    let som = Som::new();
+    let (w, h) = (640, 480);
+    for i in 0..FRAMES {
+        let file = fs::File::create(som.path(&format!("masks/{i:05}.png"))).unwrap();
+        let mut encoder = png::Encoder::new(file, w, h);
+        encoder.set_depth(png::BitDepth::One);
+        let mut writer = encoder.write_header().unwrap();
+        writer
+            .write_image_data(&vec![0; (w * h / 8) as usize])
+            .unwrap();
+    }
+    io::read_map(&som.path("masks/00000.png")).unwrap();
+}
+
+#[test]
 fn depth_without_a_value_is_missing() {
     let som = Som::new();
     let mut disparity = vec![0.5f32; WIDTH * HEIGHT];
@@ -391,6 +425,16 @@ fn distortion_is_refused_with_its_size() {
             other => panic!("{other:?}"),
         }
     }
+    // A camera that no image has may be what it likes.
+    colmap_binary(&sparse, &names(2 * FRAMES), PINHOLE);
+    let cameras = sparse.join("cameras.bin");
+    let mut bytes = fs::read(&cameras).unwrap();
+    let mut unused = bytes[8..].to_vec();
+    unused[..4].copy_from_slice(&77u32.to_le_bytes());
+    unused[4..8].copy_from_slice(&2u32.to_le_bytes());
+    bytes[..8].copy_from_slice(&2u64.to_le_bytes());
+    fs::write(&cameras, [bytes, unused].concat()).unwrap();
+    Scene::open(som.root()).unwrap();
     // A fisheye is none, whatever its coefficients: r = 0.5 goes to atan 0.5.
     match open((5, &[FOCAL, FOCAL, 8.0, 6.0, 0.0, 0.0, 0.0, 0.0])) {
         Err(IoError::Distortion { pixels, model, .. }) => {

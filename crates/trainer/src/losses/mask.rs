@@ -17,17 +17,27 @@ pub fn mask_band(width: usize) -> usize {
 /// Pixels within `band` pixels (in rows and columns) of the edge between inside (`target` above 0.5) and outside
 /// carry no loss: blurred movers spill over it. Of the others the largest errors are left out, those above the 98 % quantile,
 /// inside and outside **each by itself**: a mover under 2 % of the picture would otherwise have no loss.
+/// Pixels that are not `valid` (the holes of an unseen view) carry none either.
 /// The result is the mean over what is kept; zero where nothing is. Shape [1].
 ///
 /// # Panics
-/// Panics if `target` does not have H W entries.
+/// Panics if `target` or `valid` does not have H W entries.
 #[must_use]
-pub fn mask_loss(rendered: Tensor<2>, target: &[f32], band: usize) -> Tensor<1> {
+pub fn mask_loss(
+    rendered: Tensor<2>,
+    target: &[f32],
+    valid: Option<&[bool]>,
+    band: usize,
+) -> Tensor<1> {
     let [height, width] = rendered.dims();
     assert_eq!(
         target.len(),
         height * width,
         "one target per rendered pixel"
+    );
+    assert!(
+        valid.is_none_or(|valid| valid.len() == target.len()),
+        "one validity per rendered pixel"
     );
     let errors: Vec<f64> = wide_values(&rendered)
         .iter()
@@ -37,7 +47,9 @@ pub fn mask_loss(rendered: Tensor<2>, target: &[f32], band: usize) -> Tensor<1> 
     let near = sides_within(target, width, height, band);
     let mut kept = vec![false; errors.len()];
     for side in [INSIDE, OUTSIDE] {
-        let candidates: Vec<usize> = (0..errors.len()).filter(|k| near[*k] == side).collect();
+        let candidates: Vec<usize> = (0..errors.len())
+            .filter(|k| near[*k] == side && valid.is_none_or(|valid| valid[*k]))
+            .collect();
         if let Some(limit) = quantile(candidates.iter().map(|k| errors[*k]).collect()) {
             for k in candidates {
                 kept[k] = errors[k] <= limit;

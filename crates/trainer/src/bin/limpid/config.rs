@@ -99,7 +99,7 @@ impl Config {
                 path.display()
             )
         })?;
-        serde_json::from_str(&text).map_err(|e| format!("{e}: {}", path.display()).into())
+        parse_json(&text, &path)
     }
 
     /// The scene of this run, loaded.
@@ -117,8 +117,23 @@ impl Config {
     }
 }
 
-/// A config file as a table; a relative scene is relative to the file.
+fn read_json(path: &Path) -> Result<Config, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
+    parse_json(&text, path)
+}
+
+fn parse_json(text: &str, path: &Path) -> Result<Config, Failure> {
+    serde_json::from_str(text).map_err(|e| format!("{e}: {}", path.display()).into())
+}
+
+/// A config file (or a run's `config.json`) as a table; a relative scene is relative to the file.
 pub(crate) fn read_table(path: &Path) -> Result<Table, Failure> {
+    if path.extension().is_some_and(|e| e == "json") {
+        let config = read_json(path)?;
+        let mut table = Table::try_from(&config.settings)?;
+        merge(&mut table, Table::try_from(&config.run)?);
+        return Ok(table);
+    }
     let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
     let mut table: Table = toml::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
     if let Some(Value::String(scene)) = table.get("scene") {

@@ -13,6 +13,9 @@ use trainer::ColorMap;
 pub(crate) struct EvalArguments {
     /// Folder with a run's results.
     run: PathBuf,
+    /// Folder of the scene, where it is no longer at the place it was trained from.
+    #[arg(long, value_name = "DIR")]
+    scene: Option<PathBuf>,
     /// JSON file with `gain` and `offset` (8-bit units) per channel that bring the test pictures' colours to the training camera's.
     /// A relative path that is not found is looked for in the scene's folder.
     #[arg(long, value_name = "FILE")]
@@ -30,7 +33,7 @@ struct ColorMapFile {
 }
 
 pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
-    let trainer = load(&arguments.run)?;
+    let trainer = load(&arguments.run, arguments.scene.as_deref())?;
     let colors = match &arguments.colour_map {
         None => None,
         Some(given) => {

@@ -41,8 +41,16 @@ pub(crate) fn refuse_results(out: &Path) -> Result<(), Failure> {
     }
 }
 
-/// Makes the folder, and removes another run's results from it, but nothing else.
+/// Makes the folder, and removes another run's results from it, but nothing else: a folder that holds such names and no
+/// configuration of ours is left alone.
 pub(crate) fn clear_folder(out: &Path) -> Result<(), Failure> {
+    if refuse_results(out).is_err() && !is_run(out) {
+        return Err(format!(
+            "{} is no run of ours, and --force would remove files from it; choose another folder with --out",
+            out.display()
+        )
+        .into());
+    }
     std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()))?;
     for path in RESULTS.map(|name| out.join(name)) {
         let removed = if path.is_dir() {
@@ -55,6 +63,14 @@ pub(crate) fn clear_folder(out: &Path) -> Result<(), Failure> {
         removed.map_err(|e| format!("{e}: {}", path.display()))?;
     }
     Ok(())
+}
+
+/// Whether a folder holds the configuration of a run, of this version or another.
+fn is_run(out: &Path) -> bool {
+    std::fs::read_to_string(out.join(CONFIG_FILE))
+        .ok()
+        .and_then(|text| serde_json::from_str::<serde_json::Value>(&text).ok())
+        .is_some_and(|config| config["run"].is_object() && config["settings"].is_object())
 }
 
 /// Writes the checkpoint, and the seconds that training has taken.

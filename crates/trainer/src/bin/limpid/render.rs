@@ -3,7 +3,7 @@
 use crate::Failure;
 use crate::config::Config;
 use crate::outputs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use trainer::Trainer;
 
@@ -12,6 +12,9 @@ use trainer::Trainer;
 pub(crate) struct RenderArguments {
     /// Folder with a run's results.
     run: PathBuf,
+    /// Folder of the scene, where it is no longer at the place it was trained from.
+    #[arg(long, value_name = "DIR")]
+    scene: Option<PathBuf>,
     /// Folder for the pictures and PLY files [default: RUN/renders].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -24,7 +27,7 @@ pub(crate) struct RenderArguments {
 }
 
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
-    let trainer = load(&arguments.run)?;
+    let trainer = load(&arguments.run, arguments.scene.as_deref())?;
     let out = arguments
         .out
         .clone()
@@ -57,8 +60,11 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
 }
 
 /// The trainer of a run, from its checkpoint.
-pub(crate) fn load(run: &std::path::Path) -> Result<Trainer, Failure> {
-    let config = Config::of_run(run)?;
+pub(crate) fn load(run: &Path, scene: Option<&Path>) -> Result<Trainer, Failure> {
+    let mut config = Config::of_run(run)?;
+    if let Some(scene) = scene {
+        config.run.scene = Some(scene.to_owned());
+    }
     let device = config.run.backend.device()?;
     Ok(Trainer::load(
         &run.join("checkpoint"),

@@ -47,11 +47,11 @@ pub(crate) struct TrainArguments {
     /// Start from other defaults.
     #[arg(long)]
     profile: Option<Profile>,
-    /// Settings from a TOML file; flags win over it.
+    /// Settings from a TOML file, or from the config.json of another run; flags win over it.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Seed of every random choice [default: 1].
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: Option<u64>,
     /// Go on from the checkpoint in the results' folder.
     #[arg(long)]
@@ -85,6 +85,9 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     let checkpoint = out.join("checkpoint");
     let (config, mut trainer, mut seconds) = if arguments.resume {
         let mut config = Config::of_run(&out)?;
+        if let Some(scene) = &arguments.scene {
+            config.run.scene = Some(absolute(scene)?);
+        }
         if let Some(backend) = arguments.backend {
             config.run.backend = backend;
         }
@@ -102,6 +105,8 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
             outputs::refuse_results(&out)?;
         }
         let scene = asked.open_scene()?;
+        // What it is scored against is read at the end: better to fail now.
+        scene.truth()?;
         for note in &scene.notes {
             eprintln!("note: {note}");
         }
@@ -128,9 +133,13 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
             Ok(report) => report,
             Err(error) => {
                 progress.finish();
-                // After a bad gradient the parameters are partly stepped: the checkpoint on disk is the last good state.
-                if !matches!(error, TrainError::Gradient { .. }) {
-                    outputs::save(&trainer, &checkpoint, seconds)?;
+                // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
+                let is_whole = matches!(
+                    error,
+                    TrainError::Gradient { .. } | TrainError::NotFinite { .. }
+                );
+                if is_whole && let Err(problem) = outputs::save(&trainer, &checkpoint, seconds) {
+                    eprintln!("the checkpoint cannot be saved: {problem}");
                 }
                 return Err(error.into());
             }
@@ -144,7 +153,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     outputs::save(&trainer, &checkpoint, seconds)?;
     if !trainer.is_done() {
         eprintln!(
-            "stopped after iteration {}; go on with: limpid train --resume --out {}",
+            "stopped after iteration {}; the same command with --resume --out {} and no settings goes on",
             trainer.iteration(),
             out.display()
         );
@@ -214,12 +223,15 @@ impl TrainArguments {
         let mut config = config::from_table(table, &defaults)?;
         // An absolute path, so that the run can be repeated from anywhere.
         if let Some(scene) = &mut config.run.scene {
-            *scene = scene
-                .canonicalize()
-                .map_err(|e| format!("{e}: {}", scene.display()))?;
+            *scene = absolute(scene)?;
         }
         Ok(config)
     }
+}
+
+fn absolute(scene: &Path) -> Result<PathBuf, Failure> {
+    let found = scene.canonicalize();
+    Ok(found.map_err(|e| format!("{e}: {}", scene.display()))?)
 }
 
 fn default_out(config: &Config) -> Result<PathBuf, Failure> {
