@@ -107,7 +107,7 @@ fn plain_names_have_no_test_views() {
     colmap_binary(
         &som.path("flow3d_preprocessed/colmap/sparse"),
         &names(FRAMES),
-        make::PINHOLE,
+        PINHOLE,
     );
     let scene = Scene::open(som.root()).unwrap();
     assert_eq!((scene.frames.len(), scene.test.len()), (FRAMES, 0));
