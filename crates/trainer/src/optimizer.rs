@@ -50,8 +50,7 @@ impl Rates<'_> {
     pub(crate) fn of(&self, name: &str, it: usize) -> LearningRate {
         let r = self.rates;
         let decay = |share: f64, length: usize| self.schedule.decay(it, share, length);
-        let boost = self.schedule.short_run_boost(r.short_run_boost);
-        let motion = || boost * decay(r.motion_final_share, REFERENCE_ITERATIONS);
+        let motion = decay(r.motion_final_share, REFERENCE_ITERATIONS);
         LearningRate::Uniform(match name {
             "gaussians.means" => {
                 let share = r.means_final / r.means;
@@ -63,15 +62,16 @@ impl Rates<'_> {
             "gaussians.sh" => {
                 return LearningRate::first_and_rest(r.sh_dc, 3, r.sh_rest, self.sh_columns);
             }
-            "motion.rots" => r.bases * motion(),
-            "motion.transls" => r.bases * motion() * self.scene_size,
-            "motion.coefficients" => r.coefficients * motion(),
+            "motion.rots" => r.bases * motion,
+            "motion.transls" => r.bases * motion * self.scene_size,
+            "motion.coefficients" => r.coefficients * motion,
             _ => {
                 let (share, length) = if self.schedule.iterations < REFERENCE_ITERATIONS {
                     (r.blur_short_run_share, REFERENCE_ITERATIONS)
                 } else {
                     (r.blur_final_share, r.blur_decay)
                 };
+                let boost = self.schedule.short_run_boost(r.short_run_boost);
                 r.blur * boost * decay(share, length)
             }
         })

@@ -167,7 +167,7 @@ impl Schedule {
         final_share.powf(progress)
     }
 
-    /// Factor by which blur, bases and coefficients learn faster in short runs: `min(limit, s^-1/2)`, at least 1.
+    /// Factor by which the blur model learns faster in short runs: `min(limit, s^-1/2)`, at least 1.
     #[must_use]
     pub fn short_run_boost(&self, limit: f64) -> f64 {
         (REFERENCE_ITERATIONS as f64 / self.iterations as f64)

@@ -297,7 +297,8 @@ pub struct LearningRates {
     pub blur_decay: usize,
     /// The same at the end of a shorter run, over its whole length.
     pub blur_short_run_share: f64,
-    /// In short runs blur, bases and coefficients learn faster by `min(this, s^-1/2)`, s = iterations / 40,000.
+    /// In short runs the blur model learns faster by `min(this, s^-1/2)`, s = iterations / 40,000. Motion does not: what it
+    /// learns faster than the blur model it takes from it, as per-frame shifts in the place of kernels.
     pub short_run_boost: f64,
 }
 
