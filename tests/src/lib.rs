@@ -2,7 +2,7 @@
 
 mod gradcheck;
 
-pub use gradcheck::{GradLimits, check_gradients};
+pub use gradcheck::{GradLimits, GradReport, check_gradients, directional_report};
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 

@@ -14,7 +14,11 @@ fn the_blur_has_the_gradients_of_image_and_kernel() {
         for (height, width, k) in [
             (4, 5, 1),
             (10, 4, 3),
+            (6, 7, 5),
+            (4, 9, 7),
             (3, 4, 9),
+            (7, 5, 11),
+            (3, 5, 13),
             (2, 3, 15),
             (1, 4, 3),
             (1, 1, 5),

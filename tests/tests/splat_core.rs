@@ -2,7 +2,7 @@
 //! kernels, errors, and what a render gives beside the image.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use limpid_tests::{GradLimits, check_gradients, devices, noise, values};
+use limpid_tests::{GradLimits, check_gradients, devices, noise, tensor, values};
 use splat_core::cpu::{SplatSlices, View, project, rasterize as rasterize_slices};
 use splat_core::{Camera, RenderOptions, SplatError, Splats, prepare, rasterize, render};
 
@@ -64,37 +64,69 @@ fn splats(t: &[Tensor<2>]) -> Splats {
 
 const OPTIONS: RenderOptions = RenderOptions { sh_degree: 3 };
 
+/// Weights on the output's channels: those that `counts` names are random, the others zero.
+fn channel_weights(counts: &dyn Fn(usize) -> bool) -> Vec<f64> {
+    let channels = 5 + FEATURES;
+    let mut weights = noise(19 * 17 * channels, 8);
+    for (k, w) in weights.iter_mut().enumerate() {
+        *w *= f64::from(u8::from(counts(k % channels)));
+    }
+    weights
+}
+
+fn check_render(
+    device: &Device,
+    inputs: &[(&str, [usize; 2], Vec<f64>)],
+    weights: &[f64],
+    sh_degree: usize,
+    allow_zero: &[&str],
+) {
+    check_gradients(device, inputs, allow_zero, GradLimits::default(), |t| {
+        let options = RenderOptions { sh_degree };
+        let features = Some(t[7].clone());
+        let rendered =
+            render(splats(t), t[6].clone(), &camera(), &options, features, None).unwrap();
+        let output = rendered.output().clone();
+        let shape = [17, 19, 5 + FEATURES];
+        (output.clone() * tensor(weights, shape, &output.device(), DType::F64)).sum()
+    });
+}
+
 #[test]
 fn every_input_has_the_gradient_of_central_differences() {
+    let all = channel_weights(&|_| true);
     for (_, device) in devices() {
-        let weights = noise(19 * 17 * (5 + FEATURES), 8);
-        check_gradients(
-            &device,
-            &inputs(),
-            &[],
-            GradLimits {
-                element: 1e-6,
-                l2: 1e-6,
-                step: 1e-6,
-            },
-            |t| {
-                let rendered = render(
-                    splats(t),
-                    t[6].clone(),
-                    &camera(),
-                    &OPTIONS,
-                    Some(t[7].clone()),
-                    None,
-                )
-                .unwrap();
-                let output = rendered.output().clone();
-                let weights = Tensor::<3>::from_data(
-                    TensorData::new(weights.clone(), [17, 19, 5 + FEATURES]),
-                    (&output.device(), DType::F64),
-                );
-                (output * weights).sum()
-            },
-        );
+        for sh_degree in 0..=3 {
+            check_render(&device, &inputs(), &all, sh_degree, &[]);
+        }
+        // Colour, alpha, depth and features each by themselves. Depth takes its share of the pose's translation through
+        // the mean's z; neither depth nor alpha knows a colour.
+        let [color, alpha, depth, features] =
+            [0..3, 3..4, 4..5, 5..7].map(|channels| channel_weights(&|c| channels.contains(&c)));
+        check_render(&device, &inputs(), &color, 3, &["features"]);
+        check_render(&device, &inputs(), &alpha, 3, &["sh", "features"]);
+        check_render(&device, &inputs(), &depth, 3, &["sh", "features"]);
+        check_render(&device, &inputs(), &features, 3, &["sh"]);
+    }
+}
+
+#[test]
+fn gaussians_at_the_edge_of_the_view_have_the_right_gradients() {
+    // The first reaches behind the camera, the second is behind it altogether, the third's mean lies outside the image,
+    // beyond where the projection's Jacobian is clamped.
+    let mut inputs = inputs();
+    inputs[0].2[..9].copy_from_slice(&[0.02, 0.2, 0.0, 0.3, -0.1, -2.0, 2.6, 0.1, 2.0]);
+    inputs[3].2[..9].copy_from_slice(&[-1.0, -1.2, -0.7, 0.0, 0.0, 0.0, 0.3, 0.1, 0.2]);
+    let weights = channel_weights(&|_| true);
+    for (name, device) in devices() {
+        check_render(&device, &inputs, &weights, 3, &[]);
+        let t: Vec<_> = inputs
+            .iter()
+            .map(|(_, shape, v)| tensor(v, *shape, &device, DType::F64))
+            .collect();
+        let rendered = render(splats(&t), t[6].clone(), &camera(), &OPTIONS, None, None).unwrap();
+        let drawn: Vec<bool> = rendered.radii().iter().map(|r| *r > 0.0).collect();
+        assert_eq!(drawn[..3], [true, false, true], "{name}");
     }
 }
 
