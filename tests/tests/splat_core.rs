@@ -85,7 +85,7 @@ fn check_render(
         let options = RenderOptions { sh_degree };
         let features = Some(t[7].clone());
         let rendered =
-            render(splats(t), t[6].clone(), &camera(), &options, features, None).unwrap();
+            render(splats(t), t[6].clone(), &camera(), &options, features, None).expect("a render");
         let output = rendered.output().clone();
         let shape = [17, 19, 5 + FEATURES];
         (output.clone() * tensor(weights, shape, &output.device(), DType::F64)).sum()

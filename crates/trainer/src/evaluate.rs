@@ -3,8 +3,8 @@
 use crate::TrainError;
 use crate::metrics::{masked_psnr, psnr, ssim};
 use crate::model::{Model, host};
+use crate::objective::blur_inputs;
 use crate::placement::dilate;
-use crate::step::blur_inputs;
 use crate::trainer::Trainer;
 use crate::views::{camera_of, pose_tensor};
 use bpnet::{Extractor, centroid, composite};
@@ -151,7 +151,7 @@ impl Trainer {
         let options = RenderOptions {
             sh_degree: self.schedule.sh_degree_at(self.progress.iteration),
         };
-        let pose = pose_tensor(cam_from_world, &self.device);
+        let pose = pose_tensor(cam_from_world, &model.means);
         Ok(render(
             posed.splats,
             pose,

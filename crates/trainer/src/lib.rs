@@ -35,6 +35,7 @@ mod gauge;
 mod lifting;
 mod model;
 mod neighbors;
+mod objective;
 mod optimizer;
 mod placement;
 mod random;

@@ -1,4 +1,4 @@
-//! One iteration: pose, render, blur, losses, backward, Adam, density control.
+//! One iteration: the loss of a view, backward, Adam, density control.
 
 use crate::TrainError;
 use crate::adam::check_gradient;
@@ -8,17 +8,13 @@ use crate::density::{
 };
 use crate::dynamics::{densify, densify_share};
 use crate::losses;
-use crate::model::{constant, host, rows_from};
+use crate::model::{host, rows_from};
+use crate::objective::Objective;
 use crate::optimizer::Rates;
 use crate::random::{Purpose, generator};
 use crate::real::leaf;
 use crate::trainer::Trainer;
-use crate::views::{ViewRef, camera_of};
-use bpnet::{
-    BlurField, BlurInputs, BpNet, Extractor, cell_means, centroid, composite, kernel_center_loss,
-};
 use burn::tensor::{Gradients, Tensor};
-use splat_core::{RenderOptions, Rendered, render};
 
 /// Opacities are reset to at most this.
 const RESET_OPACITY: f64 = 0.01;
@@ -43,23 +39,6 @@ pub struct StepReport {
     pub gaussians: usize,
 }
 
-/// The weighted loss terms of an iteration.
-#[derive(Default)]
-struct Terms {
-    names: Vec<&'static str>,
-    values: Vec<Tensor<1>>,
-}
-
-impl Terms {
-    /// Adds a term unless its weight is zero.
-    fn add(&mut self, name: &'static str, weight: f64, value: impl FnOnce() -> Tensor<1>) {
-        if weight != 0.0 {
-            self.names.push(name);
-            self.values.push(value().mul_scalar(weight));
-        }
-    }
-}
-
 impl Trainer {
     /// Does one iteration.
     ///
@@ -81,50 +60,17 @@ impl Trainer {
         };
         let (frame, name) = (view.frame, view.name.to_owned());
 
-        let posed = self.model.pose(view.time);
-        let camera = camera_of(&self.scene, frame, self.near());
-        let options = RenderOptions {
-            sh_degree: self.schedule.sh_degree_at(it),
-        };
         let gathers = self.schedule.gathers_density(it);
         let screen_grad = gathers
             .then(|| Tensor::<1>::zeros([self.model.num_gaussians()], &self.device).require_grad());
-        let rendered = render(
-            posed.splats,
-            view.pose(&self.device),
-            &camera,
-            &options,
-            posed.dynamic,
-            screen_grad.clone(),
-        )?;
-        let sharp = rendered.color();
-        let field = self.blur_field(it, &view, &rendered)?;
-        let blurred = match &field {
-            Some(field) => composite(sharp.clone(), field)?,
-            None => sharp.clone(),
-        };
-        let mut target = view.image(&self.device);
-        if let Some(holes) = view.holes(&self.device) {
-            // Holes take the render itself, so that windows over them carry no false loss.
-            let shape = target.dims();
-            target = target.mask_where(holes.expand(shape), blurred.clone().detach());
-        }
-        let psnr = current_psnr(&blurred, &target);
+        let shown = self.show(&self.model, it, &view, None, screen_grad.clone())?;
+        let target = shown.target(&view);
+        let psnr = current_psnr(&shown.blurred, &target);
+        let Objective { terms, shifts } =
+            self.objective(&self.model, it, &view, &shown, &shown, target);
 
-        let mut terms = Terms::default();
-        let shifts = self.add_image_terms(
-            &mut terms,
-            it,
-            &view,
-            &rendered,
-            field.as_ref(),
-            sharp,
-            blurred,
-            target,
-        );
-        self.add_motion_terms(&mut terms, &view);
-
-        let stacked = Tensor::cat(terms.values, 0);
+        let (names, values): (Vec<_>, Vec<_>) = terms.into_iter().unzip();
+        let stacked = Tensor::cat(values, 0);
         let values: Vec<f64> = host(stacked.clone().detach())
             .into_iter()
             .map(f64::from)
@@ -133,7 +79,7 @@ impl Trainer {
             return Err(TrainError::NotFinite {
                 iteration: it,
                 view: name,
-                term: terms.names[at],
+                term: names[at],
                 value: values[at],
             });
         }
@@ -142,7 +88,8 @@ impl Trainer {
         if let Some(screen_grad) = &screen_grad
             && let Some(norms) = screen_grad.grad_remove(&mut grads)
         {
-            self.density.accumulate(&host(norms), rendered.radii());
+            self.density
+                .accumulate(&host(norms), shown.rendered.radii());
         }
         if let Some(shifts) = shifts {
             self.gauge.record(frame, shifts);
@@ -159,130 +106,11 @@ impl Trainer {
         Ok(StepReport {
             iteration: it,
             loss: values.iter().sum(),
-            terms: terms.names.into_iter().zip(values).collect(),
+            terms: names.into_iter().zip(values).collect(),
             psnr,
             view: name,
             gaussians: self.model.num_gaussians(),
         })
-    }
-
-    /// Kernel and intensity of every pixel, where blur is modelled. During the hold no graph is recorded.
-    fn blur_field(
-        &self,
-        it: usize,
-        view: &ViewRef<'_>,
-        rendered: &Rendered,
-    ) -> Result<Option<BlurField>, TrainError> {
-        let Some(net) = self
-            .model
-            .blur
-            .as_ref()
-            .filter(|_| self.schedule.is_blurred(it))
-        else {
-            return Ok(None);
-        };
-        let inputs = blur_inputs(rendered, self.survey.scene_size);
-        let extractor = if self.settings.blur.train_extractor {
-            Extractor::Trained
-        } else {
-            Extractor::Frozen
-        };
-        Ok(Some(if self.schedule.steps_blur(it) {
-            net.forward(view.frame, &inputs, extractor)?
-        } else {
-            without_graph(net).forward(view.frame, &inputs, extractor)?
-        }))
-    }
-
-    /// The losses of the picture; returns the kernels' live shifts for the gauge.
-    fn add_image_terms(
-        &self,
-        terms: &mut Terms,
-        it: usize,
-        view: &ViewRef<'_>,
-        rendered: &Rendered,
-        field: Option<&BlurField>,
-        sharp: Tensor<3>,
-        blurred: Tensor<3>,
-        target: Tensor<3>,
-    ) -> Option<Tensor<2>> {
-        let weights = &self.settings.loss;
-        terms.add("image", 1.0, || {
-            losses::photometric(blurred, target.clone(), weights.ssim)
-        });
-        if let Some(depth) = view.depth {
-            terms.add("depth", weights.depth, || {
-                losses::depth_loss(
-                    rendered.depth(),
-                    &rendered.alpha(),
-                    depth,
-                    self.survey.scene_size,
-                )
-            });
-        }
-        if let (Some(mask), Some(dynamic)) = (view.mask, rendered.features()) {
-            terms.add("mask", weights.mask, || {
-                let band = losses::mask_band(view.width);
-                losses::mask_loss(dynamic.squeeze_dim(2), mask, view.valid, band)
-            });
-        }
-        let field = field?;
-        if self.schedule.has_downsample(it) && !view.is_unseen() {
-            terms.add("downsample", weights.downsample, || {
-                losses::downsample_loss(sharp, target, 4)
-            });
-        }
-        if !self.schedule.steps_blur(it) {
-            return None;
-        }
-        if self.schedule.has_kernel_center(it) {
-            terms.add("kernel_center", weights.kernel_center, || {
-                kernel_center_loss(field)
-            });
-            terms.add("intensity", weights.intensity, || {
-                losses::intensity_penalty(field.intensity.clone())
-            });
-        }
-        if view.is_unseen() || weights.gauge == 0.0 {
-            return None;
-        }
-        let [rows, columns] = self.settings.blur.gauge_cells;
-        let shifts = cell_means(centroid(field), rows, columns);
-        terms.add("gauge", weights.gauge, || {
-            self.gauge.penalty(view.frame, shifts.clone())
-        });
-        Some(shifts)
-    }
-
-    /// Smoothness of the motion, on positions divided by S.
-    fn add_motion_terms(&self, terms: &mut Terms, view: &ViewRef<'_>) {
-        let Some(motion) = &self.model.motion else {
-            return;
-        };
-        let weights = &self.settings.loss;
-        let size = self.survey.scene_size;
-        terms.add("bases_acceleration", weights.bases_acceleration, || {
-            motion_bases::bases_acceleration(&motion.bases, size)
-        });
-        let last = self.scene.frames.len() as f32 - 1.0;
-        if last < 2.0 || self.model.num_dynamic == 0 {
-            return;
-        }
-        let middle = view.time.clamp(1.0, last - 1.0);
-        let means = self.model.dynamic_means();
-        let at = |time: f32| {
-            motion
-                .bases
-                .motion_at(&motion.coefficients, time)
-                .transform_means(&means)
-        };
-        let (before, now, after) = (at(middle - 1.0), at(middle), at(middle + 1.0));
-        terms.add("means_acceleration", weights.means_acceleration, || {
-            motion_bases::means_acceleration(&before, &now, &after, size)
-        });
-        terms.add("along_ray", weights.along_ray, || {
-            motion_bases::along_ray(&before, &now, &after, view.center(), size)
-        });
     }
 
     fn step_parameters(
@@ -444,30 +272,6 @@ fn insert_rows(tensor: &Tensor<2>, at: usize, rows: &Tensor<2>) -> Tensor<2> {
     let mut parts = vec![old.clone().narrow(0, 0, at), rows.clone().inner()];
     parts.extend(rows_from(&old, at));
     leaf(Tensor::cat(parts, 0), tensor.is_autodiff())
-}
-
-/// What BP-Net sees of a render: colour, disparity times S, dynamic mask.
-pub(crate) fn blur_inputs(rendered: &Rendered, scene_size: f64) -> BlurInputs {
-    let alpha = rendered.alpha().clamp_min(1e-3);
-    let depth = (rendered.depth() / alpha).clamp_min(0.05 * scene_size);
-    let mask = match rendered.features() {
-        Some(dynamic) => dynamic.squeeze_dim(2),
-        None => rendered.alpha().zeros_like(),
-    };
-    BlurInputs {
-        color: rendered.color(),
-        disparity: depth.recip().mul_scalar(scene_size),
-        mask,
-    }
-}
-
-/// The same network with constants for parameters.
-fn without_graph(net: &BpNet) -> BpNet {
-    let mut net = net.clone();
-    for (_, parameter) in net.parameters_mut() {
-        *parameter = constant(parameter);
-    }
-    net
 }
 
 /// PSNR in dB of detached pictures.

@@ -1,7 +1,6 @@
 //! What an iteration can show: training views, and unseen views warped from them.
 
 use crate::TrainError;
-use crate::model::tensor;
 use crate::random::{Purpose, generator, unit};
 use crate::settings::UnseenSettings;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
@@ -79,13 +78,15 @@ impl<'a> ViewRef<'a> {
         camera_center(&self.cam_from_world)
     }
 
-    /// `cam_from_world` as a tensor [3, 4].
-    pub(crate) fn pose(&self, device: &Device) -> Tensor<2> {
-        pose_tensor(&self.cam_from_world, device)
+    /// `cam_from_world` as a tensor [3, 4] of the device and dtype of another.
+    pub(crate) fn pose<const D: usize>(&self, like: &Tensor<D>) -> Tensor<2> {
+        pose_tensor(&self.cam_from_world, like)
     }
 
-    pub(crate) fn image(&self, device: &Device) -> Tensor<3> {
-        tensor(self.image.to_vec(), [self.height, self.width, 3], device)
+    /// The frame as a tensor [H, W, 3] of the device and dtype of another.
+    pub(crate) fn image<const D: usize>(&self, like: &Tensor<D>) -> Tensor<3> {
+        let data = TensorData::new(self.image.to_vec(), [self.height, self.width, 3]);
+        Tensor::from_data(data, (&like.device(), like.dtype()))
     }
 
     /// Pixels without a target, [H, W, 1]; `None` where all have one.
@@ -102,11 +103,14 @@ impl<'a> ViewRef<'a> {
     }
 }
 
-/// A pose as a tensor [3, 4].
-pub(crate) fn pose_tensor(cam_from_world: &DAffine3, device: &Device) -> Tensor<2> {
+/// A pose as a tensor [3, 4] of the device and dtype of another.
+pub(crate) fn pose_tensor<const D: usize>(
+    cam_from_world: &DAffine3,
+    like: &Tensor<D>,
+) -> Tensor<2> {
     Tensor::from_data(
         TensorData::new(pose_rows(cam_from_world).to_vec(), [3, 4]),
-        device,
+        (&like.device(), like.dtype()),
     )
 }
 

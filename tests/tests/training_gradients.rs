@@ -1,0 +1,109 @@
+//! One whole training loss: the gradient of every parameter group against f64 differences.
+
+use burn::tensor::{DType, Tensor};
+use limpid_tests::{GradLimits, devices, directional_report, noise, tensor, tiny, values};
+use trainer::{Model, Trainer};
+
+/// A model with its parameters in f64, moved by `step` where the name is `moved`.
+fn in_f64(model: &Model, moved: &str, step: &[f64]) -> Model {
+    let mut model = model.clone();
+    for (name, parameter) in model.parameters_mut() {
+        let mut entries = values(parameter.clone());
+        if name == moved {
+            entries.iter_mut().zip(step).for_each(|(v, s)| *v += s);
+        }
+        let device = parameter.device();
+        *parameter = tensor(&entries, parameter.dims(), &device, DType::F64).require_grad();
+    }
+    model
+}
+
+/// The model with a second basis beside its first, and a blend of both for each Gaussian. (The scene needs but one.)
+fn with_two_bases(model: &Model) -> Model {
+    let mut model = model.clone();
+    let motion = model.motion.as_mut().expect("the scene moves");
+    let beside = |bases: &Tensor<2>, seed| {
+        let first = bases.clone().inner().narrow(0, 0, 1);
+        let change = noise(first.dims()[1], seed);
+        let change = tensor(&change, first.dims(), &first.device(), first.dtype());
+        Tensor::from_inner(Tensor::cat(vec![first.clone(), first + change * 0.05], 0))
+    };
+    motion.bases.rots = beside(&motion.bases.rots, 1);
+    motion.bases.transls = beside(&motion.bases.transls, 2);
+    let (device, shape) = (motion.coefficients.device(), [model.num_dynamic, 2]);
+    motion.coefficients = tensor(&noise(2 * shape[0], 3), shape, &device, DType::F32);
+    model
+}
+
+#[test]
+fn every_parameter_group_has_the_gradient_of_the_whole_loss() {
+    let mut scene = tiny::scene();
+    // Without relief the estimator's scale and shift are not fitted: the fit is data to the gradient, but not to a difference.
+    for frame in &mut scene.frames {
+        let depth = frame.depth.as_mut().expect("the scene has depth");
+        depth.values.fill(tiny::WALL as f32);
+    }
+    let mut settings = tiny::settings();
+    settings.loss.downsample = 0.1;
+    settings.gaussians.initial_static_per_pixel = 0.3;
+    for (name, device) in devices() {
+        let mut trainer =
+            Trainer::new(scene.clone(), settings.clone(), &device).expect("a trainer");
+        // Every term is on at this iteration; until then each part has left its start.
+        let iteration = 110;
+        for _ in 0..iteration {
+            trainer.step().expect("a step");
+        }
+        let start = in_f64(&with_two_bases(trainer.model()), "", &[]);
+        let frame = 2;
+        let loss = |model: &Model| -> Vec<(&'static str, Tensor<1>)> {
+            trainer
+                .loss_terms(model, &start, iteration, frame)
+                .expect("the terms")
+        };
+        let terms = loss(&start);
+        let mut found: Vec<&str> = terms.iter().map(|(term, _)| *term).collect();
+        found.sort_unstable();
+        assert_eq!(
+            found,
+            [
+                "along_ray",
+                "bases_acceleration",
+                "depth",
+                "downsample",
+                "gauge",
+                "image",
+                "intensity",
+                "kernel_center",
+                "mask",
+                "means_acceleration"
+            ],
+            "{name}"
+        );
+        let sum = |terms: Vec<(&str, Tensor<1>)>| {
+            let values = terms.into_iter().map(|(_, value)| value).collect();
+            Tensor::cat(values, 0).sum()
+        };
+        let grads = sum(terms).backward();
+        // A few pixels may have an absolute value's kink or a threshold within a step: the limits leave room for that.
+        let limits = GradLimits {
+            element: 1e-4,
+            l2: 1e-4,
+            angle: 1e-7,
+            bias: 1e-4,
+            step: 1e-6,
+        };
+        for (seed, (group, parameter)) in start.parameters().into_iter().enumerate() {
+            let gradient = values(
+                parameter
+                    .grad(&grads)
+                    .unwrap_or_else(|| panic!("{name}: {group} has a gradient")),
+            );
+            let report = directional_report(&gradient, 4, limits.step, seed as u64, |moved| {
+                values(sum(loss(&in_f64(&start, &group, moved))))[0]
+            });
+            eprintln!("{name}: {group}: {report}");
+            assert!(report.within(&limits), "{name}: {group}: {report}");
+        }
+    }
+}
