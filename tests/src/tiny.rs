@@ -30,7 +30,6 @@ pub fn pose(time: f64) -> DAffine3 {
 }
 
 /// Centre of the moving patch; it is one unit of half a length wide.
-#[must_use]
 fn patch_center(time: f64) -> DVec2 {
     DVec2::new(-0.3 + 0.15 * time, 0.1)
 }
@@ -55,7 +54,6 @@ fn trace(time: f64, pixel: DVec2) -> ([f64; 3], f64, bool) {
 }
 
 /// What the camera sees with the shutter open for `exposure` frames around a time.
-#[must_use]
 fn picture(time: f64, exposure: f64) -> Image {
     let samples = 7;
     let mut pixels = Vec::new();

@@ -37,34 +37,23 @@ pub enum TrainError {
     /// The blur model refused its configuration.
     #[error("blur model: {0}")]
     Blur(#[from] bpnet::BpNetError),
-    /// A loss term is not finite.
+    /// A loss term or a gradient is not finite.
     #[error(
-        "iteration {iteration}: the loss term `{term}` of view {view} is {value}; the state before this iteration is unharmed and can be saved"
+        "iteration {iteration}, view {view}, loss term `{term}`, parameter `{parameter}`: {problem}; \
+         the state before this iteration is unharmed and can be saved; look at the view, try a lower learning rate, \
+         or go without the setting that was changed last"
     )]
     NotFinite {
         /// 1-based iteration.
         iteration: usize,
         /// Name of the view.
         view: String,
-        /// Name of the loss term.
+        /// Name of the loss term where it arose; "all" where each term by itself is finite.
         term: &'static str,
-        /// The value.
-        value: f64,
-    },
-    /// A gradient is not finite.
-    #[error(
-        "iteration {iteration}, view {view}: the gradient of `{parameter}` is not finite ({problem}); \
-         the state before this iteration is unharmed and can be saved; try a lower learning rate, or go without the setting that was changed last"
-    )]
-    Gradient {
-        /// 1-based iteration.
-        iteration: usize,
-        /// Name of the view.
-        view: String,
-        /// Name of the parameter.
+        /// Name of the parameter whose gradient is at fault; "none" where all gradients are finite.
         parameter: String,
-        /// Where in it.
-        problem: crate::adam::NonFiniteGradient,
+        /// What is not finite, and where in it.
+        problem: String,
     },
     /// The first fit of the motion bases diverged.
     #[error(

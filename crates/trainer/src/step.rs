@@ -1,19 +1,20 @@
 //! One iteration: the loss of a view, backward, Adam, density control.
 
 use crate::TrainError;
-use crate::adam::check_gradient;
+use crate::adam::{NonFiniteGradient, check_gradient};
 use crate::density::{
     DensityOptions, DensityStats, RowEdit, add_to_rows, gather_rows, plan_density, reset_opacity,
     split_offsets,
 };
 use crate::dynamics::{densify, densify_share};
 use crate::losses;
-use crate::model::{host, rows_from};
+use crate::model::{Model, host, rows_from};
 use crate::objective::Objective;
 use crate::optimizer::Rates;
 use crate::random::{Purpose, generator};
 use crate::real::leaf;
 use crate::trainer::Trainer;
+use crate::views::ViewRef;
 use burn::tensor::{Gradients, Tensor};
 
 /// Opacities are reset to at most this.
@@ -75,26 +76,24 @@ impl Trainer {
             .into_iter()
             .map(f64::from)
             .collect();
-        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-            return Err(TrainError::NotFinite {
-                iteration: it,
-                view: name,
-                term: names[at],
-                value: values[at],
-            });
+        if values.iter().any(|v| !v.is_finite()) {
+            return Err(self.find_fault(it, &view)?);
         }
         let mut grads = stacked.sum().backward();
 
-        if let Some(screen_grad) = &screen_grad
-            && let Some(norms) = screen_grad.grad_remove(&mut grads)
-        {
+        let norms = screen_grad.and_then(|screen| screen.grad_remove(&mut grads));
+        // All are checked before one is stepped: after an error the state is whole.
+        let Ok(gradients) = take_gradients(&self.model, &mut grads) else {
+            return Err(self.find_fault(it, &view)?);
+        };
+        if let Some(norms) = norms {
             self.density
                 .accumulate(&host(norms), shown.rendered.radii());
         }
         if let Some(shifts) = shifts {
             self.gauge.record(frame, shifts);
         }
-        self.step_parameters(it, &name, &mut grads)?;
+        self.step_parameters(it, gradients);
         self.change_gaussians(it);
 
         self.progress.iteration = it;
@@ -113,40 +112,58 @@ impl Trainer {
         })
     }
 
-    fn step_parameters(
-        &mut self,
-        it: usize,
-        view: &str,
-        grads: &mut Gradients,
-    ) -> Result<(), TrainError> {
+    fn step_parameters(&mut self, it: usize, gradients: Vec<Option<Tensor<2>>>) {
         let rates = Rates {
             rates: &self.settings.learning_rates,
             schedule: &self.schedule,
             scene_size: self.survey.scene_size,
             sh_columns: self.model.sh.dims()[1],
         };
-        // All are checked before one is stepped: after an error the state is whole.
-        let mut taken = Vec::new();
-        for (name, parameter) in self.model.parameters() {
-            let Some(grad) = parameter.grad_remove(grads) else {
-                taken.push(None);
-                continue;
-            };
-            check_gradient(&grad).map_err(|problem| TrainError::Gradient {
-                iteration: it,
-                view: view.to_owned(),
-                parameter: name,
-                problem,
-            })?;
-            taken.push(Some(grad));
-        }
-        for ((name, parameter), grad) in self.model.parameters_mut().into_iter().zip(taken) {
+        for ((name, parameter), grad) in self.model.parameters_mut().into_iter().zip(gradients) {
             if let Some(grad) = grad {
                 self.optimizer
                     .step(&name, parameter, grad, &rates.of(&name, it));
             }
         }
-        Ok(())
+    }
+
+    /// Says where a number that is not finite arose: goes back through each loss term by itself. Costs as many backward passes
+    /// as there are terms, but only a run that stops pays them.
+    fn find_fault(&self, it: usize, view: &ViewRef<'_>) -> Result<TrainError, TrainError> {
+        let fault = |term, parameter: &str, problem| TrainError::NotFinite {
+            iteration: it,
+            view: view.name.to_owned(),
+            term,
+            parameter: parameter.to_owned(),
+            problem,
+        };
+        let terms = || -> Result<_, TrainError> {
+            let shown = self.show(&self.model, it, view, None, None)?;
+            let target = shown.target(view);
+            Ok(self
+                .objective(&self.model, it, view, &shown, &shown, target)
+                .terms)
+        };
+        for index in 0..=terms()?.len() {
+            // Each pass back uses its graph up.
+            let mut terms = terms()?;
+            let (term, loss) = if index < terms.len() {
+                terms.swap_remove(index)
+            } else {
+                let values = terms.into_iter().map(|(_, value)| value).collect();
+                ("all", Tensor::cat(values, 0).sum())
+            };
+            let value = host(loss.clone().detach())[0];
+            if let Err((parameter, problem)) = take_gradients(&self.model, &mut loss.backward()) {
+                let problem = format!("the gradient is not finite ({problem})");
+                return Ok(fault(term, &parameter, problem));
+            }
+            if !value.is_finite() {
+                return Ok(fault(term, "none", format!("the loss is {value}")));
+            }
+        }
+        let problem = "not finite at first, but finite when computed again".to_owned();
+        Ok(fault("all", "none", problem))
     }
 
     /// Dynamic densification, density control and opacity reset, each at its moment.
@@ -255,6 +272,21 @@ impl Trainer {
         self.model.num_dynamic = edit.num_dynamic;
         self.density = DensityStats::new(edit.len());
     }
+}
+
+/// The gradients of all parameters in their order, `None` for one that has none; or the first that is not finite, and where.
+fn take_gradients(
+    model: &Model,
+    grads: &mut Gradients,
+) -> Result<Vec<Option<Tensor<2>>>, (String, NonFiniteGradient)> {
+    let take = |(name, parameter): (String, Tensor<2>)| {
+        let grad = parameter.grad_remove(grads);
+        match grad.as_ref().map_or(Ok(()), check_gradient) {
+            Ok(()) => Ok(grad),
+            Err(problem) => Err((name, problem)),
+        }
+    };
+    model.parameters().into_iter().map(take).collect()
 }
 
 /// What an edit of the Gaussians' rows means for a parameter; `None` for one that has no row per Gaussian.

@@ -134,10 +134,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
             Err(error) => {
                 progress.finish();
                 // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
-                let is_whole = matches!(
-                    error,
-                    TrainError::Gradient { .. } | TrainError::NotFinite { .. }
-                );
+                let is_whole = matches!(error, TrainError::NotFinite { .. });
                 if is_whole && let Err(problem) = outputs::save(&trainer, &checkpoint, seconds) {
                     eprintln!("the checkpoint cannot be saved: {problem}");
                 }

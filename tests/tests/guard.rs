@@ -1,0 +1,91 @@
+//! The guard: a loss or gradient that is not finite stops the run with its state whole and says where it arose.
+
+use limpid_tests::{devices, tiny, values};
+use trainer::{TrainError, Trainer};
+
+/// Trains until a step fails; the error, and the trainer as it is then. No parameter may have changed in the failed step.
+fn train_into_fault(mut trainer: Trainer) -> (TrainError, Trainer) {
+    let state = |trainer: &Trainer| -> Vec<(String, Vec<f64>)> {
+        let all = trainer.model().parameters().into_iter();
+        all.map(|(name, tensor)| (name, values(tensor))).collect()
+    };
+    loop {
+        let (iteration, before) = (trainer.iteration(), state(&trainer));
+        if let Err(error) = trainer.step() {
+            assert_eq!(trainer.iteration(), iteration);
+            assert!(
+                before == state(&trainer),
+                "the failed step changed a parameter"
+            );
+            return (error, trainer);
+        }
+    }
+}
+
+#[test]
+fn a_fault_in_a_frame_names_iteration_view_term_and_parameter() {
+    for (name, device) in devices() {
+        for fault in [f32::NAN, f32::INFINITY, f32::MAX] {
+            let mut scene = tiny::scene();
+            scene.frames[3].view.image.pixels[100] = fault;
+            let mut settings = tiny::settings();
+            settings.unseen.enabled = false;
+            let trainer = Trainer::new(scene, settings, &device).expect("a trainer");
+            let (error, trainer) = train_into_fault(trainer);
+            let TrainError::NotFinite {
+                iteration,
+                view,
+                term,
+                parameter,
+                ..
+            } = &error
+            else {
+                panic!("{name}, {fault}: {error}");
+            };
+            assert_eq!(*iteration, trainer.iteration() + 1, "{name}, {fault}");
+            assert_eq!(
+                (view.as_str(), *term),
+                ("00003", "image"),
+                "{name}: {error}"
+            );
+            assert!(
+                parameter.starts_with("gaussians.") || parameter == "none",
+                "{name}: {error}"
+            );
+
+            // What is left is a good checkpoint.
+            let folder = tempfile::tempdir().expect("a temporary folder");
+            trainer.save(folder.path()).expect("a checkpoint");
+            let loaded = Trainer::load(folder.path(), tiny::scene(), &device).expect("it loads");
+            assert_eq!(loaded.iteration(), trainer.iteration());
+        }
+    }
+}
+
+#[test]
+fn a_gradient_that_overflows_names_its_term_and_parameter() {
+    for (name, device) in devices() {
+        // Positions count in units of the scene's size: a weight just inside f32 over a tiny size is outside.
+        let mut scene = tiny::scene();
+        for frame in &mut scene.frames {
+            frame.view.cam_from_world.translation *= 1e-6;
+            let depth = frame.depth.as_mut().expect("the scene has depth");
+            depth.values.iter_mut().for_each(|z| *z *= 1e-6);
+        }
+        let mut settings = tiny::settings();
+        settings.loss.means_acceleration = 1e37;
+        let trainer = Trainer::new(scene, settings, &device).expect("a trainer");
+        let (error, _) = train_into_fault(trainer);
+        let TrainError::NotFinite {
+            term, parameter, ..
+        } = &error
+        else {
+            panic!("{name}: {error}");
+        };
+        assert_eq!(*term, "means_acceleration", "{name}: {error}");
+        assert!(
+            parameter == "gaussians.means" || parameter.starts_with("motion."),
+            "{name}: {error}"
+        );
+    }
+}
