@@ -1,6 +1,7 @@
 //! What the tests that cross crates share: the one list of devices, the f64 gradient check, a tiny scene.
 
 mod gradcheck;
+pub mod numerics;
 pub mod tiny;
 
 pub use gradcheck::{GradLimits, GradReport, check_gradients, directional_report};

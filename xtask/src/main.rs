@@ -14,12 +14,16 @@ cargo xtask COMMAND
 
   train [ARGS]   train a scene; without --scene and --config, the demo
                  (cargo xtask train --help lists the arguments)
+  numerics       measure f32 against f64 and write docs/NUMERICS.md
   fmt            check the formatting
   clippy         lint; a warning is an error
   doc            build the documentation; a warning is an error
   test [ARGS]    cargo test --workspace
   ci             fmt, clippy, doc and test, one after the other
 ";
+
+/// What `numerics` starts.
+const NUMERICS: [&str; 5] = ["run", "--package", "limpid-tests", "--bin", "numerics"];
 
 /// The steps of `ci` by name, as cargo's arguments.
 const STEPS: [(&str, &[&str]); 4] = [
@@ -49,6 +53,7 @@ fn main() -> ExitCode {
     };
     match command.as_deref().and_then(OsStr::to_str) {
         Some("train") => become_command(train(&rest)),
+        Some("numerics") => become_command(cargo_in_root(&NUMERICS)),
         Some("ci") => STEPS
             .iter()
             .try_for_each(|(_, args)| wait(cargo_in_root(args)))

@@ -208,7 +208,9 @@ impl<T: Real> BlendTile<'_, T> {
                         let p = splat.l11 * dx[l] + shift;
                         let alpha = (splat.opacity * (p * p + q2).exp_neg()).min(T::of(MAX_ALPHA));
                         let before = transmittance[l];
-                        let after = before * (T::ONE - alpha);
+                        let share = alpha * before;
+                        // Not before (1 - alpha): many equal alphas would round 1 - alpha the same way each time.
+                        let after = before - share;
                         let seen = alpha >= threshold[l];
                         let drawn = seen & (after > T::of(MIN_TRANSMITTANCE));
                         threshold[l] = if seen & !drawn {
@@ -218,7 +220,7 @@ impl<T: Real> BlendTile<'_, T> {
                         };
                         transmittance[l] = if drawn { after } else { before };
                         last[l] = if drawn { place + 1 } else { last[l] };
-                        weight[l] = if drawn { alpha * before } else { T::ZERO };
+                        weight[l] = if drawn { share } else { T::ZERO };
                     }
                     let blended = &mut self.blended[row * channels..][..channels];
                     for (sum, value) in blended.iter_mut().zip(values.iter()) {

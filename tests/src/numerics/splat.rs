@@ -1,0 +1,246 @@
+//! The splatting op at its extremes.
+
+use super::{Case, Precision, Results, scaled};
+use crate::noise;
+use splat_core::Camera;
+use splat_core::cpu::{BackwardOptions, Real, SplatSlices, View, backward, project, rasterize};
+
+/// Channels of the output: colour, alpha, depth and one feature.
+const CHANNELS: usize = 6;
+
+/// Inputs of a render.
+#[derive(Clone)]
+struct Input {
+    means: Vec<f64>,
+    quats: Vec<f64>,
+    /// For the first two Gaussians, where there are two.
+    left_rotations: Vec<f64>,
+    log_scales: Vec<f64>,
+    opacity_logits: Vec<f64>,
+    sh: Vec<f64>,
+    features: Vec<f64>,
+    pose: Vec<f64>,
+    camera: Camera,
+}
+
+/// The near plane, a number that f32 holds.
+const NEAR: f64 = 1.0 / 128.0;
+
+/// `n` ordinary Gaussians in front of a slightly turned camera.
+fn ordinary(n: usize) -> Input {
+    let mut means = scaled(3 * n, 1, 0.8, 0.0);
+    means.iter_mut().skip(2).step_by(3).for_each(|z| *z += 3.0);
+    let mut left_rotations = scaled(9 * n.min(2), 2, 0.2, 0.0);
+    for rotation in left_rotations.chunks_exact_mut(9) {
+        (0..3).for_each(|k| rotation[4 * k] += 1.0);
+    }
+    let (s, c) = 0.1_f64.sin_cos();
+    let mut sh = scaled(n * 48, 3, 0.1, 0.0);
+    sh.chunks_exact_mut(48)
+        .for_each(|row| row[..3].iter_mut().for_each(|v| *v += 1.0));
+    Input {
+        means,
+        quats: scaled(4 * n, 4, 1.3, 0.1),
+        left_rotations,
+        log_scales: scaled(3 * n, 5, 0.3, -1.2),
+        opacity_logits: scaled(n, 6, 1.0, 0.5),
+        sh,
+        features: noise(n, 7),
+        pose: vec![c, 0.0, s, 0.1, 0.0, 1.0, 0.0, -0.2, -s, 0.0, c, 0.3],
+        camera: Camera::pinhole(33, 21, 30.0, 28.0, 15.5, 11.0).with_near(NEAR),
+    }
+}
+
+/// A camera at the origin that looks along z.
+fn level(input: &mut Input) {
+    input.pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+}
+
+fn render<T: Real>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
+    let cast = |k: usize| -> Vec<T> { inputs[k].iter().map(|v| T::of(*v)).collect() };
+    let arrays: Vec<Vec<T>> = (0..8).map(cast).collect();
+    let splats = SplatSlices {
+        means: &arrays[0],
+        quats: &arrays[1],
+        left_rotations: &arrays[2],
+        log_scales: &arrays[3],
+        opacity_logits: &arrays[4],
+        sh: &arrays[5],
+    };
+    let view = View {
+        camera: camera.clone(),
+        cam_from_world: std::array::from_fn(|k| arrays[7][k]),
+        sh_degree: 3,
+    };
+    let projection = project(&splats, &view).expect("finite input");
+    let raster = rasterize(&projection, &arrays[6], 1).expect("finite features");
+    let weights: Vec<T> = scaled(raster.output.len(), 8, 1.0, 0.0)
+        .into_iter()
+        .map(|v| T::of(f64::from(v as f32)))
+        .collect();
+    let g = backward(
+        &splats,
+        &projection,
+        &arrays[6],
+        &raster.state,
+        &weights,
+        BackwardOptions::default(),
+    )
+    .expect("a gradient");
+    let wide = |v: &[T]| -> Vec<f64> { v.iter().map(|v| v.to_f64()).collect() };
+    let channels = |range: std::ops::Range<usize>| -> Vec<f64> {
+        let pixels = raster.output.chunks_exact(CHANNELS);
+        pixels.flat_map(|p| wide(&p[range.clone()])).collect()
+    };
+    Results {
+        forward: vec![
+            ("colour", channels(0..3)),
+            ("alpha", channels(3..4)),
+            ("depth", channels(4..5)),
+            ("feature", channels(5..6)),
+        ],
+        backward: vec![
+            ("means", wide(&g.means)),
+            ("quats", wide(&g.quats)),
+            ("left_rotations", wide(&g.left_rotations)),
+            ("log_scales", wide(&g.log_scales)),
+            ("opacity_logits", wide(&g.opacity_logits)),
+            ("sh", wide(&g.sh)),
+            ("features", wide(&g.features)),
+            ("pose", wide(&g.cam_from_world)),
+        ],
+    }
+}
+
+fn case(name: &str, input: Input) -> Case {
+    let camera = input.camera;
+    let inputs = vec![
+        input.means,
+        input.quats,
+        input.left_rotations,
+        input.log_scales,
+        input.opacity_logits,
+        input.sh,
+        input.features,
+        input.pose,
+    ];
+    Case::new(
+        "splatting",
+        name,
+        inputs,
+        move |inputs, precision| match precision {
+            Precision::F32 => render::<f32>(inputs, &camera),
+            Precision::F64 => render::<f64>(inputs, &camera),
+        },
+    )
+}
+
+pub(super) fn cases() -> Vec<Case> {
+    let edited = |name: &str, n: usize, edit: &dyn Fn(&mut Input)| {
+        let mut input = ordinary(n);
+        edit(&mut input);
+        case(name, input)
+    };
+    let plain = |name: &str, edit: &dyn Fn(&mut Input)| edited(name, 6, edit);
+    let quats_of_norm = |norm: f64| {
+        move |i: &mut Input| {
+            for q in i.quats.chunks_exact_mut(4) {
+                let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+                q.iter_mut().for_each(|v| *v *= norm / length);
+            }
+        }
+    };
+    let mean_at = |x: f64, y: f64, z: f64| {
+        move |i: &mut Input| {
+            level(i);
+            // Of the Gaussians without a left rotation, so that it is the mean in the world.
+            i.means[6..9].copy_from_slice(&[x, y, z]);
+        }
+    };
+    let sized = |width: usize, height: usize| {
+        move |i: &mut Input| {
+            let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
+            i.camera = Camera::pinhole(width, height, 30.0, 28.0, cx, cy).with_near(NEAR);
+        }
+    };
+    vec![
+        plain("ordinary", &|_| {}),
+        plain("scales of 1e-8", &|i| i.log_scales.fill(1e-8_f64.ln())),
+        plain("scales of 1e4", &|i| i.log_scales.fill(1e4_f64.ln())),
+        plain("anisotropy of 1e6, needles", &|i| {
+            for s in i.log_scales.chunks_exact_mut(3) {
+                s.copy_from_slice(&[0.0, 1e-6_f64.ln(), 1e-6_f64.ln()]);
+            }
+        }),
+        plain("anisotropy of 1e6, wide sheets", &|i| {
+            for s in i.log_scales.chunks_exact_mut(3) {
+                s.copy_from_slice(&[100.0_f64.ln(), 100.0_f64.ln(), 1e-4_f64.ln()]);
+            }
+        }),
+        plain("opacity logits of -40", &|i| i.opacity_logits.fill(-40.0)),
+        plain("opacity logits of 40", &|i| i.opacity_logits.fill(40.0)),
+        plain("quaternions of norm 0", &quats_of_norm(0.0)),
+        plain("quaternions of norm 1e-20", &quats_of_norm(1e-20)),
+        plain("quaternions of norm 1e20", &quats_of_norm(1e20)),
+        plain("a mean on the camera's centre", &mean_at(0.0, 0.0, 0.0)),
+        plain("a mean on the near plane", &mean_at(0.001, 0.0, NEAR)),
+        plain(
+            "a mean just behind the near plane's other side",
+            &mean_at(0.01, 0.02, 2.0 * NEAR),
+        ),
+        plain("a mean behind the camera", &mean_at(0.1, 0.1, -2.0)),
+        plain("a mean at 1e6 ahead, as large as it is far", &|i| {
+            mean_at(1e5, -5e4, 1e6)(i);
+            i.log_scales[6..9].fill(1e5_f64.ln());
+        }),
+        plain("a mean at 1e6 to the side", &mean_at(1e6, 0.0, 3.0)),
+        plain("scene and camera at 1e6", &|i| {
+            level(i);
+            i.means
+                .iter_mut()
+                .skip(2)
+                .step_by(3)
+                .for_each(|z| *z += 1e6);
+            i.pose[11] = -1e6;
+        }),
+        plain("focal length of 1 px", &|i| {
+            i.camera = Camera::pinhole(33, 21, 1.0, 1.0, 16.5, 10.5).with_near(NEAR);
+        }),
+        plain("focal length of 1e5 px", &|i| {
+            level(i);
+            i.camera = Camera::pinhole(33, 21, 1e5, 1e5, 16.5, 10.5).with_near(NEAR);
+            for m in i.means.chunks_exact_mut(3) {
+                (m[0], m[1]) = (m[0] * 3e-4, m[1] * 3e-4);
+            }
+            i.log_scales.iter_mut().for_each(|s| *s += 1e-4_f64.ln());
+        }),
+        plain("an image of 1 x 1", &sized(1, 1)),
+        plain("an image of 1 x 40", &sized(1, 40)),
+        plain("an image of 40 x 1", &sized(40, 1)),
+        plain("an image of 17 x 33", &sized(17, 33)),
+        edited("no Gaussian", 0, &|_| {}),
+        edited("one Gaussian", 1, &|_| {}),
+        plain("identical depths", &|i| {
+            level(i);
+            i.means.iter_mut().skip(2).step_by(3).for_each(|z| *z = 3.0);
+        }),
+        edited("transmittance that underflows", 400, &|i| {
+            level(i);
+            for (k, m) in i.means.chunks_exact_mut(3).enumerate() {
+                m.copy_from_slice(&[0.0, 0.0, 2.0 + 0.01 * k as f64]);
+            }
+            i.log_scales.fill(0.0);
+            i.opacity_logits.fill(3.0);
+        }),
+        edited("100,000 in one tile", 100_000, &|i| {
+            level(i);
+            for (k, m) in i.means.chunks_exact_mut(3).enumerate() {
+                m[2] = 2.0 + 1e-4 * k as f64;
+            }
+            i.camera = Camera::pinhole(16, 16, 16.0, 16.0, 8.0, 8.0).with_near(NEAR);
+            // So wide that alpha is the same at every pixel, far above the threshold, and all stop early at one Gaussian.
+            i.log_scales.fill(12.0);
+            i.opacity_logits.fill(-4.0);
+        }),
+    ]
+}

@@ -1,0 +1,256 @@
+//! What is done for stability, each measured against doing without.
+
+use crate::{noise, tensor, values};
+use burn::tensor::{DType, Device, Tensor, activation::softmax};
+use motion_bases::{gram_schmidt, means_acceleration};
+use splat_core::cpu::Real;
+use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
+
+/// One measure and the f32 errors without and with it; NaN where nothing usable comes out.
+#[derive(Clone, Debug)]
+pub struct Measure {
+    /// Where it is taken.
+    pub place: &'static str,
+    /// What is done, and what the error is of.
+    pub what: &'static str,
+    /// The error without.
+    pub without: f64,
+    /// The error with it.
+    pub with: f64,
+}
+
+/// All measures.
+#[must_use]
+pub fn measures() -> Vec<Measure> {
+    vec![
+        kernel_softmax(),
+        thin_ellipse(),
+        exponential(),
+        huge_vectors(),
+        parallel_vectors(),
+        length_at_rest(),
+        overflowing_square(),
+        order_of_sums(),
+    ]
+}
+
+fn largest_error(found: &[f64], exact: &[f64]) -> f64 {
+    let errors = found.iter().zip(exact).map(|(a, b)| (a - b).abs());
+    errors.fold(0.0, |m, e| if e.is_nan() { e } else { m.max(e) })
+}
+
+/// The largest is subtracted before the exponential (log-sum-exp).
+fn kernel_softmax() -> Measure {
+    let logits: Vec<f32> = noise(81, 1).iter().map(|v| (200.0 * v) as f32).collect();
+    let exact: Vec<f64> = {
+        let largest = logits.iter().fold(f32::MIN, |m, v| m.max(*v));
+        let exp: Vec<f64> = logits
+            .iter()
+            .map(|v| f64::from(v - largest).exp())
+            .collect();
+        let sum: f64 = exp.iter().sum();
+        exp.iter().map(|e| e / sum).collect()
+    };
+    let plain: Vec<f32> = logits.iter().map(|v| v.exp()).collect();
+    let sum: f32 = plain.iter().sum();
+    let plain: Vec<f64> = plain.iter().map(|e| f64::from(e / sum)).collect();
+    let wide: Vec<f64> = logits.iter().map(|v| f64::from(*v)).collect();
+    let ours = softmax(tensor::<2>(&wide, [1, 81], &Device::flex(), DType::F32), 1);
+    Measure {
+        place: "blur kernels, motion weights",
+        what: "softmax with the largest logit taken out; logits up to 200",
+        without: largest_error(&plain, &exact),
+        with: largest_error(&values(ours), &exact),
+    }
+}
+
+/// Half the squared Mahalanobis distance over an ellipse of 1000 x 1 px at 45°, as a sum of squares and by the conic.
+fn thin_ellipse() -> Measure {
+    fn rows<T: Real>() -> [[T; 3]; 2] {
+        [[1000.0, 0.7, 0.1], [1000.0, -0.7, 0.2]].map(|row| row.map(T::of))
+    }
+    fn dot<T: Real>(a: [T; 3], b: [T; 3]) -> T {
+        a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    }
+    fn by_squares<T: Real>(dx: T, dy: T) -> T {
+        let [r0, r1] = rows::<T>();
+        let (low, half) = (T::of(0.3), T::of(0.5));
+        let yy = dot(r1, r1) + low;
+        let rho = dot(r0, r1) / yy;
+        let residual: [T; 3] = std::array::from_fn(|k| r0[k] - rho * r1[k]);
+        let e = dot(residual, residual) + low + rho * rho * low;
+        let (p, q) = (dx - rho * dy, dy);
+        half * (p * p / e + q * q / yy)
+    }
+    fn by_conic<T: Real>(dx: T, dy: T) -> T {
+        let [r0, r1] = rows::<T>();
+        let (low, half) = (T::of(0.3), T::of(0.5));
+        let (xx, xy, yy) = (dot(r0, r0) + low, dot(r0, r1), dot(r1, r1) + low);
+        let determinant = xx * yy - xy * xy;
+        half * (yy * dx * dx + xx * dy * dy) / determinant - xy * dx * dy / determinant
+    }
+    let points: Vec<[f32; 2]> = (0..40)
+        .map(|k| {
+            let along = 20.0 * (k as f32 - 20.0);
+            [along + 0.5, along - 0.75]
+        })
+        .collect();
+    let exact: Vec<f64> = points
+        .iter()
+        .map(|p| by_squares(f64::from(p[0]), f64::from(p[1])))
+        .collect();
+    let error = |sigma: fn(f32, f32) -> f32| {
+        let found: Vec<f64> = points
+            .iter()
+            .map(|p| f64::from(sigma(p[0], p[1])))
+            .collect();
+        largest_error(&found, &exact)
+    };
+    Measure {
+        place: "splatting, forward and backward",
+        what: "an ellipse of 1000 x 1 px as a sum of squares, not by its conic; sigma near its long axis",
+        without: error(by_conic),
+        with: error(by_squares),
+    }
+}
+
+/// The vectorised exponential of the inner loops against the library's, both relative to f64.
+fn exponential() -> Measure {
+    let (mut ours, mut library) = (0.0_f64, 0.0_f64);
+    for k in 0..200_000 {
+        let x = k as f32 * 4e-4;
+        let exact = (-f64::from(x)).exp();
+        ours = ours.max((f64::from(x.exp_neg()) / exact - 1.0).abs());
+        library = library.max((f64::from((-x).exp()) / exact - 1.0).abs());
+    }
+    Measure {
+        place: "splatting, inner loops",
+        what: "an exponential of our own that vectorises (\"without\": the library's); relative, from 0 to -80",
+        without: library,
+        with: ours,
+    }
+}
+
+/// 6D vectors of 1e30, whose squares are no f32 numbers.
+fn huge_vectors() -> Measure {
+    let six: Vec<f64> = noise(6, 9).iter().map(|v| f64::from((v * 1e30) as f32)).collect();
+    let (without, with) = orthonormal_defects(&six);
+    Measure {
+        place: "motion, 6D rotations",
+        what: "entries clamped to 1e9; departure from orthonormal at entries of 1e30",
+        without,
+        with,
+    }
+}
+
+/// Two vectors with a sine of 1e-5 between them.
+fn parallel_vectors() -> Measure {
+    let six = [0.3, 0.1, -0.2, 0.6, 0.2 + 1e-5, -0.4].map(|v: f64| f64::from(v as f32));
+    let (without, with) = orthonormal_defects(&six);
+    Measure {
+        place: "motion, 6D rotations",
+        what: "orthogonalised twice; departure from orthonormal at a sine of 1e-5",
+        without,
+        with,
+    }
+}
+
+/// How far Gram–Schmidt is from orthonormal in f32: as in the textbook, and ours.
+fn orthonormal_defects(six: &[f64]) -> (f64, f64) {
+    let defect = |columns: [[f64; 3]; 3]| {
+        let dot = |a: [f64; 3], b: [f64; 3]| -> f64 { (0..3).map(|k| a[k] * b[k]).sum() };
+        let pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+        let errors = pairs.map(|(i, j)| dot(columns[i], columns[j]) - f64::from(u8::from(i == j)));
+        largest_error(&errors, &[0.0; 6])
+    };
+    let a: Vec<f32> = six.iter().map(|v| *v as f32).collect();
+    let unit = |v: [f32; 3]| {
+        let norm = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+        v.map(|x| x / norm)
+    };
+    let x = unit([a[0], a[1], a[2]]);
+    let along = x[0] * a[3] + x[1] * a[4] + x[2] * a[5];
+    let y = unit(std::array::from_fn(|k| a[3 + k] - along * x[k]));
+    let z = [
+        x[1] * y[2] - x[2] * y[1],
+        x[2] * y[0] - x[0] * y[2],
+        x[0] * y[1] - x[1] * y[0],
+    ];
+    let r = values(gram_schmidt(tensor(six, [1, 6], &Device::flex(), DType::F32)));
+    let ours = [0, 1, 2].map(|j| [r[j], r[3 + j], r[6 + j]]);
+    (defect([x, y, z].map(|v| v.map(f64::from))), defect(ours))
+}
+
+/// The length of an acceleration of zero has no derivative; with a floor under the root it is zero.
+fn length_at_rest() -> Measure {
+    let device = Device::flex().autodiff();
+    let rest = || Tensor::<2>::ones([2, 3], (&device, DType::F32)).require_grad();
+    let (a, b, c) = (rest(), rest(), rest());
+    let largest = |loss: Tensor<1>, leaf: &Tensor<2>| {
+        let gradient = leaf.grad(&loss.backward()).map_or_else(Vec::new, values);
+        largest_error(&gradient, &vec![0.0; gradient.len()])
+    };
+    let plain = (b.clone() * 2.0 - a.clone() - c.clone())
+        .powi_scalar(2)
+        .sum_dim(1)
+        .sqrt()
+        .sum();
+    Measure {
+        place: "smoothness of motion",
+        what: "a floor under the root; gradient of an acceleration of zero",
+        without: largest(plain, &b),
+        with: largest(means_acceleration(&a, &b, &c, 1.0), &b),
+    }
+}
+
+/// A gradient of 1e30, then 200,000 of 1: the share of the way that is lost.
+fn overflowing_square() -> Measure {
+    const STEPS: usize = 200_000;
+    const RATE: f64 = 1e-3;
+    let gradient = |step: usize| if step == 0 { 1e30 } else { 1.0 };
+    let way = STEPS as f64 * RATE;
+    // Adam in f64, but for the square.
+    let (mut m, mut v, mut plain) = (0.0, 0.0, 0.0);
+    for step in 0..STEPS {
+        let g: f64 = gradient(step);
+        m = 0.9 * m + 0.1 * g;
+        v = 0.999 * v + 0.001 * f64::from(g as f32 * g as f32);
+        let t = step as i32 + 1;
+        let (m_hat, v_hat) = (m / (1.0 - 0.9_f64.powi(t)), v / (1.0 - 0.999_f64.powi(t)));
+        plain += RATE * m_hat / (v_hat.sqrt() + 1e-15);
+    }
+    let (device, rate) = (Device::flex(), LearningRate::Uniform(RATE));
+    let mut p = Tensor::<2>::zeros([1, 1], (&device, DType::F32));
+    let mut state = AdamState::new(&p);
+    for step in 0..STEPS {
+        let g = tensor(&[gradient(step)], [1, 1], &device, DType::F32);
+        adam_step(&mut p, g, &mut state, &rate, &AdamOptions::default());
+    }
+    Measure {
+        place: "Adam",
+        what: "a gradient counts up to 1e15; share of its way that a parameter loses, of 200,000 steps after one gradient of 1e30",
+        without: 1.0 - plain / way,
+        with: 1.0 + values(p)[0] / way,
+    }
+}
+
+/// Ten million numbers in one row of additions, and by rows as losses and partial gradients are summed.
+fn order_of_sums() -> Measure {
+    let numbers: Vec<f32> = noise(10_000_000, 5)
+        .iter()
+        .map(|v| (v + 1.0) as f32)
+        .collect();
+    let exact: f64 = numbers.iter().map(|v| f64::from(*v)).sum();
+    let one: f32 = numbers.iter().fold(0.0, |s, v| s + v);
+    let rows: f32 = numbers
+        .chunks(4096)
+        .map(|row| row.iter().fold(0.0, |s, v| s + v))
+        .fold(0.0, |s, v| s + v);
+    let error = |sum: f32| (f64::from(sum) / exact - 1.0).abs();
+    Measure {
+        place: "losses, partial gradients",
+        what: "summed in fixed pieces, then the pieces; relative error of ten million terms",
+        without: error(one),
+        with: error(rows),
+    }
+}

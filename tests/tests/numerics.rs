@@ -1,0 +1,63 @@
+//! The figures of docs/NUMERICS.md hold, and so does what is promised.
+
+use limpid_tests::numerics::{cases, measure, measures, read_table};
+use std::path::Path;
+
+/// Under this an error counts as this much: half a unit in the last place moves with the order of a few additions.
+const ROUNDING: f64 = 1.2e-7;
+
+#[test]
+fn every_case_keeps_the_promise_and_the_table() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/NUMERICS.md");
+    let text = std::fs::read_to_string(&path).expect("docs/NUMERICS.md");
+    let table = read_table(&text);
+    let mut faults = Vec::new();
+    let cases = cases();
+    for case in &cases {
+        let row = measure(case);
+        let key = (row.op.clone(), row.name.clone());
+        let Some(before) = table.get(&key) else {
+            faults.push(format!(
+                "{case:?}: not in the table; run `cargo xtask numerics`"
+            ));
+            continue;
+        };
+        for (direction, figures, before) in [
+            ("forward", row.forward, before[0]),
+            ("backward", row.backward, before[1]),
+        ] {
+            if figures.of_promise > 1.0 {
+                let times = figures.of_promise;
+                faults.push(format!(
+                    "{case:?}, {direction}: {times:.2} times what is promised"
+                ));
+            }
+            if figures.relative > 4.0 * before.max(ROUNDING) {
+                let now = figures.relative;
+                faults.push(format!(
+                    "{case:?}, {direction}: {now:.1e}, was {before:.1e}"
+                ));
+            }
+        }
+    }
+    assert_eq!(
+        table.len(),
+        cases.len(),
+        "the table has cases that are gone; run `cargo xtask numerics`"
+    );
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn what_is_done_for_stability_does_something() {
+    for m in measures() {
+        // The exponential is there for speed: it may be worse than the library's, but not by much.
+        let limit = if m.place == "splatting, inner loops" {
+            4.0 * m.without
+        } else {
+            m.without
+        };
+        assert!(m.with <= limit || m.without.is_nan(), "{m:?}");
+        assert!(m.with.is_finite(), "{m:?}");
+    }
+}
