@@ -17,7 +17,7 @@ pub const MAX_KERNEL_SIZE: usize = 15;
 ///
 /// # Errors
 /// [`BpNetError`] when K is not an odd number up to [`MAX_KERNEL_SIZE`], or when the inputs differ
-/// in size or element type.
+/// in size or element type, or hold a value that is not finite.
 pub fn blur(image: Tensor<3>, kernel: Tensor<3>) -> Result<Tensor<3>, BpNetError> {
     let [height, width, entries] = kernel.dims();
     let size = entries.isqrt();
@@ -32,6 +32,8 @@ pub fn blur(image: Tensor<3>, kernel: Tensor<3>) -> Result<Tensor<3>, BpNetError
     BpNetError::check_shape("image", &image.dims(), &[height, width, 3])?;
     BpNetError::check_dtype("image", image.dtype())?;
     BpNetError::check_same_dtype("blur kernel", kernel.dtype(), image.dtype())?;
+    BpNetError::check_finite("image", &image, 3)?;
+    BpNetError::check_finite("blur kernel", &kernel, entries)?;
     Ok(Tensor::from_dispatch(<Dispatch as BpNetOps>::blur(
         image.into_dispatch(),
         kernel.into_dispatch(),

@@ -1,4 +1,4 @@
-use burn::tensor::DType;
+use burn::tensor::{DType, Tensor};
 use thiserror::Error;
 
 /// What can be wrong with a blur model or with what it is given.
@@ -39,6 +39,14 @@ pub enum BpNetError {
         frame: usize,
         /// Rows of the embedding.
         num_frames: usize,
+    },
+    /// A value is NaN or infinite.
+    #[error("{name} holds a value that is not finite at index {row}")]
+    NotFinite {
+        /// Which tensor.
+        name: &'static str,
+        /// Where: row of a matrix, pixel (row by row) of a picture.
+        row: usize,
     },
     /// A tensor of the wrong shape.
     #[error("{name} has shape {found:?}, expected {expected}")]
@@ -84,6 +92,32 @@ impl BpNetError {
                 found,
                 expected,
             })
+        }
+    }
+
+    /// Refuses a tensor [.., `width`] (in f32 or f64) that holds a value which is not finite, and says in which row of `width`.
+    pub(crate) fn check_finite<const D: usize>(
+        name: &'static str,
+        tensor: &Tensor<D>,
+        width: usize,
+    ) -> Result<(), Self> {
+        let data = tensor.clone().inner().into_data();
+        // All at once first: without a branch per value the check runs at memory speed.
+        let at = if data.dtype() == DType::F64 {
+            let values = data.as_slice::<f64>().expect("f64 values");
+            let ok = values.iter().fold(true, |ok, v| ok & v.is_finite());
+            (!ok).then(|| values.iter().position(|v| !v.is_finite()))
+        } else {
+            let values = data.as_slice::<f32>().expect("f32 values");
+            let ok = values.iter().fold(true, |ok, v| ok & v.is_finite());
+            (!ok).then(|| values.iter().position(|v| !v.is_finite()))
+        };
+        match at.flatten() {
+            None => Ok(()),
+            Some(at) => Err(Self::NotFinite {
+                name,
+                row: at / width,
+            }),
         }
     }
 

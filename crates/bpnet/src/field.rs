@@ -26,6 +26,7 @@ impl BlurField {
 pub fn composite(image: Tensor<3>, field: &BlurField) -> Result<Tensor<3>, BpNetError> {
     let [height, width, _] = field.size();
     BpNetError::check_shape("blur intensity", &field.intensity.dims(), &[height, width])?;
+    BpNetError::check_finite("blur intensity", &field.intensity, 1)?;
     let blurred = blur(image.clone(), field.kernel.clone())?;
     let intensity = field.intensity.clone().unsqueeze_dim::<3>(2);
     Ok(image.clone() + (blurred - image) * intensity)

@@ -202,8 +202,8 @@ impl BpNet {
     /// Predicts how `frame` was blurred.
     ///
     /// # Errors
-    /// [`BpNetError`] when the inputs disagree in size, are not of the parameters' element type, or
-    /// `frame` has no embedding.
+    /// [`BpNetError`] when the inputs disagree in size, are not of the parameters' element type, an input or parameter holds a
+    /// value that is not finite, or `frame` has no embedding.
     pub fn forward(
         &self,
         frame: usize,
@@ -282,6 +282,12 @@ impl BpNet {
         BpNetError::check_same_dtype("colour", color.dtype(), dtype)?;
         BpNetError::check_same_dtype("disparity", disparity.dtype(), dtype)?;
         BpNetError::check_same_dtype("mask", mask.dtype(), dtype)?;
+        BpNetError::check_finite("colour", color, 3)?;
+        BpNetError::check_finite("disparity", disparity, 1)?;
+        BpNetError::check_finite("mask", mask, 1)?;
+        for (name, parameter) in self.parameters() {
+            BpNetError::check_finite(name, &parameter, parameter.dims()[1])?;
+        }
         Ok([height, width])
     }
 }

@@ -145,10 +145,12 @@ impl Trainer {
                     view.dtype()
                 )));
             }
-            Ok((
-                bytemuck::pod_collect_to_vec(view.data()),
-                view.shape().to_vec(),
-            ))
+            let values: Vec<f32> = bytemuck::pod_collect_to_vec(view.data());
+            if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+                let value = values[at];
+                return Err(fail(format!("tensor {name}, entry {at} is {value}")));
+            }
+            Ok((values, view.shape().to_vec()))
         };
         let matrix = |name: &str, device: &Device| -> Result<Tensor<2>, TrainError> {
             let (values, shape) = values(name)?;

@@ -133,7 +133,10 @@ fn exponential() -> Measure {
 
 /// 6D vectors of 1e30, whose squares are no f32 numbers.
 fn huge_vectors() -> Measure {
-    let six: Vec<f64> = noise(6, 9).iter().map(|v| f64::from((v * 1e30) as f32)).collect();
+    let six: Vec<f64> = noise(6, 9)
+        .iter()
+        .map(|v| f64::from((v * 1e30) as f32))
+        .collect();
     let (without, with) = orthonormal_defects(&six);
     Measure {
         place: "motion, 6D rotations",
@@ -176,7 +179,12 @@ fn orthonormal_defects(six: &[f64]) -> (f64, f64) {
         x[2] * y[0] - x[0] * y[2],
         x[0] * y[1] - x[1] * y[0],
     ];
-    let r = values(gram_schmidt(tensor(six, [1, 6], &Device::flex(), DType::F32)));
+    let r = values(gram_schmidt(tensor(
+        six,
+        [1, 6],
+        &Device::flex(),
+        DType::F32,
+    )));
     let ours = [0, 1, 2].map(|j| [r[j], r[3 + j], r[6 + j]]);
     (defect([x, y, z].map(|v| v.map(f64::from))), defect(ours))
 }

@@ -157,7 +157,9 @@ impl<T: Real> UnblendTile<'_, T> {
                         let drawn = (clamped >= T::of(MIN_ALPHA)) & (last[l] > place as u32);
                         let alpha = if drawn { clamped } else { T::ZERO };
                         let inverse = T::ONE / (T::ONE - alpha);
-                        let before = transmittance[l] * inverse;
+                        // Not after / (1 - alpha), for the forward pass' reason.
+                        let after = transmittance[l];
+                        let before = after + alpha * inverse * after;
                         transmittance[l] = before;
                         weight[l] = alpha * before;
                         let v_alpha = before * dot[l] - behind[l] * inverse;
