@@ -175,7 +175,7 @@ fn no_gaussian_is_no_error() {
 fn every_six_numbers_give_a_rotation_and_finite_gradients() {
     // Name, six numbers, and the rotation where it is known.
     type Case = (&'static str, [f64; 6], Option<[f64; 9]>);
-    let cases: [Case; 11] = [
+    let cases: [Case; 12] = [
         (
             "zeros",
             [0.0; 6],
@@ -195,6 +195,11 @@ fn every_six_numbers_give_a_rotation_and_finite_gradients() {
             Some([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
         ),
         ("nearly parallel", [1.0, 0.0, 0.0, 1.0, 2e-3, 0.0], None),
+        (
+            "all but parallel",
+            [0.3, 0.1, -0.2, 0.6, 0.2, -0.400003],
+            None,
+        ),
         ("tiny", [1e-20, 0.0, 0.0, 0.0, 1e-20, 1e-20], None),
         ("huge", [1e30, 2e30, -1e30, 5e29, -1e29, 1e30], None),
         ("huge and small", [1e8, 0.0, 0.0, 1e-3, 1e-3, 0.0], None),
@@ -202,7 +207,7 @@ fn every_six_numbers_give_a_rotation_and_finite_gradients() {
     ];
     let rows: Vec<f64> = cases.iter().flat_map(|c| c.1).collect();
     for (name, device) in devices() {
-        for (dtype, limit) in [(DType::F32, 2e-3), (DType::F64, 1e-9)] {
+        for (dtype, limit) in [(DType::F32, 1e-6), (DType::F64, 1e-14)] {
             let device = device.clone().autodiff();
             let six = tensor(&rows, [cases.len(), 6], &device, dtype).require_grad();
             let rotations = gram_schmidt(six.clone());
@@ -247,21 +252,34 @@ fn every_six_numbers_give_a_rotation_and_finite_gradients() {
 
 #[test]
 fn gram_schmidt_has_the_right_gradient() {
+    // Each with a step that is small against the sine. The last a2 is parallel to a1: R still depends
+    // on a1.
+    let across = |sine: f64| vec![0.3, 0.1, -0.2, 0.6 + sine, 0.2 - sine, -0.4];
+    let cases = [
+        (noise(4 * 6, 9), 1e-5),
+        (across(1e-2), 1e-6),
+        (across(1e-3), 1e-7),
+        (across(1e-5), 1e-9),
+        (across(0.0), 1e-8),
+    ];
     for (_, device) in devices() {
-        // Besides random rows: one whose a2 is parallel to a1, where R still depends on a1.
-        let mut six = noise(5 * 6, 9);
-        six[24..30].copy_from_slice(&[0.3, 0.1, -0.2, 0.6, 0.2, -0.4]);
-        let direction = tensor(&noise(5 * 9, 10), [5, 9], &device, DType::F64);
-        check_gradients(
-            &device,
-            &[("six", [5, 6], six)],
-            &[],
-            GradLimits::default(),
-            |x| {
-                let direction = Tensor::from_inner(direction.clone());
-                (gram_schmidt(x[0].clone()).reshape([5, 9]) * direction).sum()
-            },
-        );
+        for (six, step) in &cases {
+            let rows = six.len() / 6;
+            let direction = tensor(&noise(rows * 9, 10), [rows, 9], &device, DType::F64);
+            check_gradients(
+                &device,
+                &[("six", [rows, 6], six.clone())],
+                &[],
+                GradLimits {
+                    step: *step,
+                    ..GradLimits::default()
+                },
+                |x| {
+                    let direction = Tensor::from_inner(direction.clone());
+                    (gram_schmidt(x[0].clone()).reshape([rows, 9]) * direction).sum()
+                },
+            );
+        }
     }
 }
 

@@ -3,16 +3,21 @@
 //! `x = a1 / |a1|`, `z = (x × a2) / |x × a2|`, `y = z × x`, which is the usual
 //! `y = (a2 - (a2·x) x) / |…|`, `z = x × y` in another order. The columns of the rotation are x, y, z.
 //!
+//! For nearly parallel vectors the cross product loses digits, and with them its right angle to x:
+//! what it has along x is taken off once more, and the result is a rotation to rounding at any angle.
+//! How well it follows the input has a limit that lies in the input: a rounding of a1 or a2 turns it
+//! by that rounding over the sine between them.
+//!
 //! Averaged 6D vectors can cancel out or become parallel. There the vector at fault is replaced by a
 //! fixed axis, so that the result is always a rotation and every gradient finite.
 
 use burn::tensor::Tensor;
 
-/// A vector under this length has no direction: the x axis takes its place.
-const MIN_NORM: f64 = 1e-6;
-/// Two vectors with a smaller sine between them count as parallel. (In f32 the result would be
-/// orthonormal only to 1e-7 over the sine.)
-const MIN_SINE: f64 = 1e-3;
+/// A vector under this length has no direction. Gradients grow as one over length and sine: with
+/// these limits they stay under 1e18, and their squares, which an optimiser may form, fit into f32.
+const MIN_NORM: f64 = 1e-12;
+/// Two vectors with a smaller sine between them count as parallel. (In f32 the sine is known to 2e-7.)
+const MIN_SINE: f64 = 1e-6;
 /// Larger entries are clamped, so that squares of squares fit into f32.
 pub(crate) const MAX_ENTRY: f64 = 1e9;
 
@@ -21,8 +26,8 @@ pub(crate) type Components = [Tensor<2>; 3];
 
 /// Rotations [F, 3, 3] from 6D vectors [F, 6]; columns are x, y, z.
 ///
-/// - Where |a1| (the first three numbers) is under 1e-6, a1 is taken as (1, 0, 0).
-/// - Where a2 is shorter than that, or within 0.06° of a1's line, a2 is taken as (0, 1, 0), or as
+/// - Where |a1| (the first three numbers) is under 1e-12, a1 is taken as (1, 0, 0).
+/// - Where the part of a2 across a1 is under 1e-6 |a2|, or under 1e-18, a2 is taken as (0, 1, 0), or as
 ///   (0, 0, 1) where x lies within 26° of the y axis.
 ///
 /// The gradient of a vector that was replaced is zero. Entries beyond ±1e9 are clamped.
@@ -50,22 +55,27 @@ pub(crate) fn orthonormal_columns(a1: Components, a2: Components) -> [Components
     ];
     let x = normalized(a1);
 
-    let (x_fixed, a2_fixed) = (detached(&x), detached(&a2));
-    let square = square_norm(&a2_fixed);
-    let unusable = square_norm(&cross(&x_fixed, &a2_fixed))
-        .lower(square.clone() * (MIN_SINE * MIN_SINE))
-        .bool_or(square.lower_elem(MIN_NORM * MIN_NORM));
+    // Only a2's direction counts, so that its length is a constant to the gradient.
+    let length = square_norm(&detached(&a2))
+        .clamp_min(MIN_NORM * MIN_NORM)
+        .sqrt();
+    let a2 = scaled(a2, &length.recip());
+    let x_fixed = detached(&x);
+    let parallel = square_norm(&cross(&x_fixed, &detached(&a2))).lower_elem(MIN_SINE * MIN_SINE);
     let x_near_y_axis = x_fixed[1].clone().square().greater_elem(0.8);
     let z_axis = x_fixed[1].zeros_like().mask_fill(x_near_y_axis, 1.0);
     let y_axis = z_axis.clone().neg() + 1.0;
     let [ax, ay, az] = a2;
     let a2 = [
-        ax.mask_fill(unusable.clone(), 0.0),
-        ay.mask_where(unusable.clone(), y_axis),
-        az.mask_where(unusable, z_axis),
+        ax.mask_fill(parallel.clone(), 0.0),
+        ay.mask_where(parallel.clone(), y_axis),
+        az.mask_where(parallel, z_axis),
     ];
 
-    let z = normalized(cross(&x, &a2));
+    let [cx, cy, cz] = cross(&x, &a2);
+    let along = cx.clone() * x[0].clone() + cy.clone() * x[1].clone() + cz.clone() * x[2].clone();
+    let [rx, ry, rz] = scaled(x.clone(), &along);
+    let z = normalized([cx - rx, cy - ry, cz - rz]);
     let y = cross(&z, &x);
     [x, y, z]
 }
@@ -85,8 +95,11 @@ pub(crate) fn square_norm(v: &Components) -> Tensor<2> {
 
 fn normalized(v: Components) -> Components {
     let inverse = square_norm(&v).sqrt().recip();
-    let [x, y, z] = v;
-    [x * inverse.clone(), y * inverse.clone(), z * inverse]
+    scaled(v, &inverse)
+}
+
+fn scaled([x, y, z]: Components, factor: &Tensor<2>) -> Components {
+    [x * factor.clone(), y * factor.clone(), z * factor.clone()]
 }
 
 fn cross(a: &Components, b: &Components) -> Components {
