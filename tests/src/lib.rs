@@ -1,8 +1,11 @@
-//! What the tests that cross crates share: the one list of devices and the f64 gradient check.
+//! What the tests that cross crates share: the one list of devices, the f64 gradient check, and
+//! properties on random input.
 
 mod gradcheck;
+mod property;
 
 pub use gradcheck::{GradLimits, check_gradients};
+pub use property::{property, uniform};
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
