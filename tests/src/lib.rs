@@ -1,10 +1,13 @@
-//! What the tests that cross crates share: the one list of devices, the f64 gradient check, a tiny scene.
+//! What the tests that cross crates share: the one list of devices, the f64 gradient check, properties on random input, a tiny
+//! scene, and the cases of docs/NUMERICS.md.
 
 mod gradcheck;
 pub mod numerics;
+mod property;
 pub mod tiny;
 
 pub use gradcheck::{GradLimits, GradReport, check_gradients, directional_report};
+pub use property::{property, uniform};
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
