@@ -144,7 +144,7 @@ fn a_poisoned_motion_stays_in_its_rows_for_the_renderer_to_refuse() {
     for (name, device) in devices() {
         let (b, n, rows) = (2, 2, 3);
         let good = [
-            vec![0.5, 0.1, 0.2, -0.3, 0.7, 0.1].repeat(b * n),
+            [0.5, 0.1, 0.2, -0.3, 0.7, 0.1].repeat(b * n),
             noise(b * n * 3, 2),
             noise(rows * b, 3),
             noise(rows * 3, 4),
@@ -237,7 +237,7 @@ fn train(
         assert!(values(parameter).iter().all(|v| v.is_finite()), "{name}");
     }
     let evaluation = trainer.evaluate()?;
-    assert!(evaluation.test.is_some() || trainer.scene().test.is_empty());
+    assert!(evaluation.test.is_some(), "no score");
     Ok(())
 }
 

@@ -12,7 +12,7 @@ fn train_into_fault(mut trainer: Trainer) -> (TrainError, Trainer) {
     loop {
         let (iteration, before) = (trainer.iteration(), state(&trainer));
         if let Err(error) = trainer.step() {
-            assert_eq!(trainer.iteration(), iteration);
+            assert_eq!(trainer.iteration(), iteration, "the failed step counted");
             assert!(
                 before == state(&trainer),
                 "the failed step changed a parameter"

@@ -107,10 +107,10 @@ pub(super) fn cases() -> Vec<Case> {
             &six([1.0, 0.0, 0.0], [1.0, 0.01, 0.0]),
         ),
         plain("6D vectors of 1e6", &|i| {
-            i.rots.iter_mut().for_each(|v| *v *= 1e6)
+            i.rots.iter_mut().for_each(|v| *v *= 1e6);
         }),
         plain("6D vectors of 1e30", &|i| {
-            i.rots.iter_mut().for_each(|v| *v *= 1e30)
+            i.rots.iter_mut().for_each(|v| *v *= 1e30);
         }),
         plain("logits of 1e3 and -1e3", &|i| {
             i.coefficients
@@ -118,10 +118,10 @@ pub(super) fn cases() -> Vec<Case> {
                 .for_each(|v| *v = 1e3 * v.signum());
         }),
         plain("means at 1e6", &|i| {
-            i.means.iter_mut().for_each(|v| *v *= 1e6)
+            i.means.iter_mut().for_each(|v| *v *= 1e6);
         }),
         plain("translations of 1e6", &|i| {
-            i.transls.iter_mut().for_each(|v| *v *= 1e6)
+            i.transls.iter_mut().for_each(|v| *v *= 1e6);
         }),
         edited("one basis", 1, 3, &|_| {}),
         edited("one frame", 3, 1, &|_| {}),

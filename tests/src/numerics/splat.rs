@@ -244,3 +244,69 @@ pub(super) fn cases() -> Vec<Case> {
         }),
     ]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{property, uniform};
+    use arbtest::arbitrary::{Result, Unstructured};
+
+    /// One of the extremes, or an ordinary number from -1 to 1.
+    fn pick(u: &mut Unstructured<'_>, extremes: &[f64]) -> Result<f64> {
+        let place = uniform(u, 0.0, 2.0 * extremes.len() as f64)? as usize;
+        match extremes.get(place) {
+            Some(extreme) => Ok(*extreme),
+            None => uniform(u, -1.0, 1.0),
+        }
+    }
+
+    fn fill(u: &mut Unstructured<'_>, values: &mut [f64], extremes: &[f64]) -> Result<()> {
+        for v in values {
+            *v = pick(u, extremes)?;
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn any_mixture_of_extremes_stays_finite() {
+        property("mixtures of extremes", 4000, |u| {
+            let count = uniform(u, 0.0, 13.0)? as usize;
+            let mut i = ordinary(count);
+            let ln = f64::ln;
+            fill(
+                u,
+                &mut i.means,
+                &[0.0, NEAR, -1.0, 3.0, 1e6, -1e6, 1e-30, 1e18],
+            )?;
+            fill(u, &mut i.quats, &[0.0, 1e-20, 1e20, -1e20, 1e-38, 1e38])?;
+            fill(u, &mut i.left_rotations, &[0.0, 1.0, -1.0])?;
+            fill(
+                u,
+                &mut i.log_scales,
+                &[ln(1e-8), ln(1e4), ln(1e-3), -80.0, 80.0, -1e4, 1e4],
+            )?;
+            fill(u, &mut i.opacity_logits, &[40.0, -40.0, 1e4, -1e4, 5.0])?;
+            fill(u, &mut i.sh, &[0.0, 1e6, -1e6, 1e30])?;
+            fill(u, &mut i.features, &[0.0, 1e6, -1e6])?;
+            let sides = [1, 2, 15, 16, 17, 33];
+            let side = |u: &mut Unstructured<'_>| Ok(sides[uniform(u, 0.0, 5.9)? as usize]);
+            let (width, height) = (side(u)?, side(u)?);
+            let focal = [1.0, 30.0, 1e5][uniform(u, 0.0, 2.9)? as usize];
+            let (cx, cy) = (uniform(u, -50.0, 50.0)?, 0.5 * height as f64);
+            i.camera = Camera::pinhole(width, height, focal, 30.0, cx, cy).with_near(NEAR);
+            let case = case("mixture", i);
+            for precision in [Precision::F32, Precision::F64] {
+                let results = (case.run)(&case.inputs, precision);
+                for (name, values) in results.forward.iter().chain(&results.backward) {
+                    let at = values.iter().position(|v| !v.is_finite());
+                    let inputs = &case.inputs;
+                    assert!(
+                        at.is_none(),
+                        "{precision:?}: {name} at {at:?} of {inputs:?}"
+                    );
+                }
+            }
+            Ok(())
+        });
+    }
+}

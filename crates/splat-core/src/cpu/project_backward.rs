@@ -25,7 +25,45 @@ struct Piece<'a, T> {
     screen: &'a mut [T],
 }
 
+impl<T: Real> Piece<'_, T> {
+    /// What belongs to a Gaussian in each output; nothing where it has no left rotation.
+    #[inline(always)]
+    fn row(&mut self, local: usize) -> [&mut [T]; 8] {
+        let count = self.screen.len();
+        let (sh_width, num_features) = (self.sh.len() / count, self.features.len() / count);
+        [
+            (&mut *self.means, 3),
+            (&mut *self.quats, 4),
+            (&mut *self.left_rotations, 9),
+            (&mut *self.log_scales, 3),
+            (&mut *self.opacity_logits, 1),
+            (&mut *self.sh, sh_width),
+            (&mut *self.features, num_features),
+            (&mut *self.screen, 1),
+        ]
+        .map(|(out, width)| {
+            let row = out.get_mut(local * width..(local + 1) * width);
+            row.unwrap_or_default()
+        })
+    }
+
+    #[inline(always)]
+    fn is_finite(&mut self, local: usize) -> bool {
+        let all = self.row(local);
+        all.iter()
+            .all(|out| out.iter().fold(true, |ok, v| ok & v.is_finite()))
+    }
+
+    fn clear(&mut self, local: usize) {
+        for out in self.row(local) {
+            out.fill(T::ZERO);
+        }
+    }
+}
+
 /// Gradients of all inputs from the partial gradients of all slots.
+///
+/// A Gaussian whose gradient is larger than `T` can hold gets none, and neither does a pose.
 pub(super) fn project_backward<T: Real>(
     splats: &SplatSlices<'_, T>,
     projection: &Projection<T>,
@@ -84,7 +122,10 @@ pub(super) fn project_backward<T: Real>(
         .into_par_iter()
         .map(|piece| arch.dispatch(RunPiece { job: &job, piece }))
         .collect();
-    out.cam_from_world = tree_sum(&poses);
+    let pose = tree_sum(&poses);
+    if pose.iter().all(|v| v.is_finite()) {
+        out.cam_from_world = pose;
+    }
     out
 }
 
@@ -155,14 +196,22 @@ impl<T: Real> Job<'_, T> {
         }
         for (local, (rank, sums)) in ranks.iter().zip(sums.chunks_exact(width)).enumerate() {
             if *rank != u32::MAX {
+                let mut own = [T::ZERO; 12];
                 self.row(
                     piece.first + local,
                     *rank as usize,
                     local,
                     sums,
                     &mut piece,
-                    &mut pose,
+                    &mut own,
                 );
+                if own.iter().all(|v| v.is_finite()) && piece.is_finite(local) {
+                    for (sum, v) in pose.iter_mut().zip(own) {
+                        *sum += v;
+                    }
+                } else {
+                    piece.clear(local);
+                }
             }
         }
         pose
