@@ -371,3 +371,29 @@ fn bad_inputs_are_errors_that_say_which() {
         );
     }
 }
+
+#[test]
+fn a_gradient_that_is_not_finite_does_not_vanish_on_its_way_back() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let t: Vec<_> = tensors(&device, DType::F32)
+            .into_iter()
+            .map(Tensor::require_grad)
+            .collect();
+        let features = Some(t[7].clone());
+        let rendered = render(
+            splats(&t),
+            t[6].clone(),
+            &camera(),
+            &OPTIONS,
+            features,
+            None,
+        );
+        let rendered = rendered.expect("a render");
+        let grads = (rendered.color() * f64::NAN).sum().backward();
+        for (index, (input, ..)) in inputs().into_iter().enumerate().take(7) {
+            let gradient = values(t[index].grad(&grads).expect("every input is used"));
+            assert!(gradient.iter().any(|v| v.is_nan()), "{name}: {input}");
+        }
+    }
+}

@@ -85,20 +85,27 @@ fn every_parameter_group_has_the_gradient_of_the_whole_loss() {
             Tensor::cat(values, 0).sum()
         };
         let grads = sum(terms).backward();
-        // A few pixels may have an absolute value's kink or a threshold within a step: the limits leave room for that.
-        let limits = GradLimits {
-            element: 1e-4,
-            l2: 1e-4,
-            angle: 1e-7,
-            bias: 1e-4,
-            step: 1e-6,
-        };
         for (seed, (group, parameter)) in start.parameters().into_iter().enumerate() {
             let gradient = values(
                 parameter
                     .grad(&grads)
                     .unwrap_or_else(|| panic!("{name}: {group} has a gradient")),
             );
+            // Thousands of pixels have thresholds and kinks, and what moves Gaussians or features takes a step so small that
+            // hardly any is met. The limits leave room for one, and for rounding: single ops are held to a thousandth of
+            // them, and what is wrong between ops is wrong by far more.
+            let late = ["blur.embedding", "blur.base", "blur.head"];
+            let limits = GradLimits {
+                element: 2e-3,
+                l2: 2e-3,
+                angle: 4e-6,
+                bias: 2e-3,
+                step: if late.iter().any(|name| group.starts_with(name)) {
+                    1e-6
+                } else {
+                    1e-7
+                },
+            };
             let report = directional_report(&gradient, 4, limits.step, seed as u64, |moved| {
                 values(sum(loss(&in_f64(&start, &group, moved))))[0]
             });

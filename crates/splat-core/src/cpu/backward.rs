@@ -53,6 +53,9 @@ pub struct Gradients<T> {
 /// `splats` and `features` are those that `projection` and `state` were made from, `v_output` is
 /// the gradient of the output, [H, W, 5 + F].
 ///
+/// A Gaussian whose gradient overflows `T` gets none, and neither does the pose. Where `v_output` itself is not finite, the
+/// gradients are not finite either, so that whoever asked for them can see it.
+///
 /// # Errors
 /// Wrong lengths.
 pub fn backward<T: Real>(
@@ -93,5 +96,6 @@ pub fn backward<T: Real>(
         state.num_features,
         &partial,
         options,
+        v_output.iter().fold(true, |ok, v| ok & v.is_finite()),
     ))
 }

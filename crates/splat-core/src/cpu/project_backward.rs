@@ -63,13 +63,14 @@ impl<T: Real> Piece<'_, T> {
 
 /// Gradients of all inputs from the partial gradients of all slots.
 ///
-/// A Gaussian whose gradient is larger than `T` can hold gets none, and neither does a pose.
+/// With `drop_overflow`, a Gaussian whose gradient is larger than `T` can hold gets none, and neither does the pose.
 pub(super) fn project_backward<T: Real>(
     splats: &SplatSlices<'_, T>,
     projection: &Projection<T>,
     num_features: usize,
     partial: &[T],
     options: BackwardOptions,
+    drop_overflow: bool,
 ) -> Gradients<T> {
     let n = projection.count;
     let sh_width = 3 * splats.sh_coefficients();
@@ -116,6 +117,7 @@ pub(super) fn project_backward<T: Real>(
         num_features,
         partial,
         options,
+        drop_overflow,
     };
     let arch = Arch::new();
     let poses: Vec<[T; 12]> = pieces
@@ -123,7 +125,7 @@ pub(super) fn project_backward<T: Real>(
         .map(|piece| arch.dispatch(RunPiece { job: &job, piece }))
         .collect();
     let pose = tree_sum(&poses);
-    if pose.iter().all(|v| v.is_finite()) {
+    if !drop_overflow || pose.iter().all(|v| v.is_finite()) {
         out.cam_from_world = pose;
     }
     out
@@ -149,6 +151,7 @@ struct Job<'a, T> {
     num_features: usize,
     partial: &'a [T],
     options: BackwardOptions,
+    drop_overflow: bool,
 }
 
 /// Gradients of a Gaussian's ellipse, means in pixels.
@@ -205,12 +208,13 @@ impl<T: Real> Job<'_, T> {
                     &mut piece,
                     &mut own,
                 );
-                if own.iter().all(|v| v.is_finite()) && piece.is_finite(local) {
+                let is_finite = own.iter().all(|v| v.is_finite()) && piece.is_finite(local);
+                if self.drop_overflow && !is_finite {
+                    piece.clear(local);
+                } else {
                     for (sum, v) in pose.iter_mut().zip(own) {
                         *sum += v;
                     }
-                } else {
-                    piece.clear(local);
                 }
             }
         }
