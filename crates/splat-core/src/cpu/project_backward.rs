@@ -26,9 +26,8 @@ struct Piece<'a, T> {
 }
 
 impl<T: Real> Piece<'_, T> {
-    /// What belongs to a Gaussian in each output; nothing where it has no left rotation.
-    #[inline(always)]
-    fn row(&mut self, local: usize) -> [&mut [T]; 8] {
+    /// Every output with its width.
+    fn outputs(&mut self) -> [(&mut [T], usize); 8] {
         let count = self.screen.len();
         let (sh_width, num_features) = (self.sh.len() / count, self.features.len() / count);
         [
@@ -41,24 +40,25 @@ impl<T: Real> Piece<'_, T> {
             (&mut *self.features, num_features),
             (&mut *self.screen, 1),
         ]
-        .map(|(out, width)| {
+    }
+
+    fn is_finite(&mut self) -> bool {
+        self.outputs().iter().all(|(out, _)| all_finite(out))
+    }
+
+    /// What belongs to a Gaussian in each output; nothing where it has no left rotation.
+    fn row(&mut self, local: usize) -> [&mut [T]; 8] {
+        self.outputs().map(|(out, width)| {
             let row = out.get_mut(local * width..(local + 1) * width);
             row.unwrap_or_default()
         })
     }
+}
 
-    #[inline(always)]
-    fn is_finite(&mut self, local: usize) -> bool {
-        let all = self.row(local);
-        all.iter()
-            .all(|out| out.iter().fold(true, |ok, v| ok & v.is_finite()))
-    }
-
-    fn clear(&mut self, local: usize) {
-        for out in self.row(local) {
-            out.fill(T::ZERO);
-        }
-    }
+/// Without a branch per value, so that it runs at memory speed.
+#[inline(always)]
+fn all_finite<T: Real>(values: &[T]) -> bool {
+    values.iter().fold(true, |ok, v| ok & v.is_finite())
 }
 
 /// Gradients of all inputs from the partial gradients of all slots.
@@ -125,7 +125,7 @@ pub(super) fn project_backward<T: Real>(
         .map(|piece| arch.dispatch(RunPiece { job: &job, piece }))
         .collect();
     let pose = tree_sum(&poses);
-    if !drop_overflow || pose.iter().all(|v| v.is_finite()) {
+    if !drop_overflow || all_finite(&pose) {
         out.cam_from_world = pose;
     }
     out
@@ -197,25 +197,28 @@ impl<T: Real> Job<'_, T> {
                 }
             }
         }
-        for (local, (rank, sums)) in ranks.iter().zip(sums.chunks_exact(width)).enumerate() {
-            if *rank != u32::MAX {
-                let mut own = [T::ZERO; 12];
-                self.row(
-                    piece.first + local,
-                    *rank as usize,
-                    local,
-                    sums,
-                    &mut piece,
-                    &mut own,
-                );
-                let is_finite = own.iter().all(|v| v.is_finite()) && piece.is_finite(local);
-                if self.drop_overflow && !is_finite {
-                    piece.clear(local);
-                } else {
-                    for (sum, v) in pose.iter_mut().zip(own) {
-                        *sum += v;
-                    }
+        let rows = || ranks.iter().zip(sums.chunks_exact(width)).enumerate();
+        let visible = || rows().filter(|(_, (rank, _))| **rank != u32::MAX);
+        for (local, (rank, sums)) in visible() {
+            self.row(local, *rank as usize, sums, &mut piece, &mut pose);
+        }
+        if !self.drop_overflow || (all_finite(&pose) && piece.is_finite()) {
+            return pose;
+        }
+        // Rare: once more, row by row.
+        let mut pose = [T::ZERO; 12];
+        for (local, (rank, sums)) in visible() {
+            let mut own = [T::ZERO; 12];
+            self.row(local, *rank as usize, sums, &mut piece, &mut own);
+            if all_finite(&own) && piece.row(local).iter().all(|out| all_finite(out)) {
+                for (sum, v) in pose.iter_mut().zip(own) {
+                    *sum += v;
                 }
+            } else {
+                piece
+                    .row(local)
+                    .into_iter()
+                    .for_each(|out| out.fill(T::ZERO));
             }
         }
         pose
@@ -224,13 +227,13 @@ impl<T: Real> Job<'_, T> {
     #[inline(always)]
     fn row(
         &self,
-        row: usize,
-        rank: usize,
         local: usize,
+        rank: usize,
         sums: &[T],
         piece: &mut Piece<'_, T>,
         v_pose: &mut [T; 12],
     ) {
+        let row = piece.first + local;
         let view = &self.projection.view;
         let pose = &view.cam_from_world;
         let shape = Shape::of_row(self.splats, row);
