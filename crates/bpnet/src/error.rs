@@ -101,18 +101,22 @@ impl BpNetError {
         tensor: &Tensor<D>,
         width: usize,
     ) -> Result<(), Self> {
+        fn first<T: Copy>(values: &[T], finite: fn(T) -> bool) -> Option<usize> {
+            // All at once first: without a branch per value the check runs at memory speed.
+            let all = values.iter().fold(true, |ok, v| ok & finite(*v));
+            if all {
+                None
+            } else {
+                values.iter().position(|v| !finite(*v))
+            }
+        }
         let data = tensor.clone().inner().into_data();
-        // All at once first: without a branch per value the check runs at memory speed.
         let at = if data.dtype() == DType::F64 {
-            let values = data.as_slice::<f64>().expect("f64 values");
-            let ok = values.iter().fold(true, |ok, v| ok & v.is_finite());
-            (!ok).then(|| values.iter().position(|v| !v.is_finite()))
+            first(data.as_slice().expect("f64 values"), f64::is_finite)
         } else {
-            let values = data.as_slice::<f32>().expect("f32 values");
-            let ok = values.iter().fold(true, |ok, v| ok & v.is_finite());
-            (!ok).then(|| values.iter().position(|v| !v.is_finite()))
+            first(data.as_slice().expect("f32 values"), f32::is_finite)
         };
-        match at.flatten() {
+        match at {
             None => Ok(()),
             Some(at) => Err(Self::NotFinite {
                 name,

@@ -1,6 +1,6 @@
-use burn::tensor::{DType, Device, Tensor, TensorData, activation};
+use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use crate::layers::constant;
+use crate::layers::{constant, sigmoid};
 use crate::{BpNetError, blur};
 
 /// How every pixel of one frame was blurred, as BP-Net predicts it.
@@ -43,7 +43,7 @@ pub fn kernel_center_loss(field: &BlurField) -> Tensor<1> {
         .narrow(2, entries / 2, 1)
         .squeeze_dim::<2>(2);
     let intensity = constant(field.intensity.clone());
-    let target = activation::sigmoid((intensity - 1.0) * -5.0);
+    let target = sigmoid((intensity - 1.0) * -5.0);
     (target - center).abs().mean_dim(1).mean()
 }
 

@@ -58,6 +58,13 @@ pub(crate) fn softmax_rows(logits: Tensor<2>) -> Tensor<2> {
     Tensor::from_dispatch(<Dispatch as BpNetOps>::softmax_rows(logits.into_dispatch()))
 }
 
+/// Logistic function. (Burn's own goes through f32 on some backends, whatever the element type.)
+///
+/// Below -80, where it is under 1e-34, it stays, so that neither the exponential nor the gradient overflows.
+pub(crate) fn sigmoid<const D: usize>(x: Tensor<D>) -> Tensor<D> {
+    (x.clamp_min(-80.0).neg().exp() + 1.0).recip()
+}
+
 /// The tensor's values without its gradient. (Burn's `detach` alone turns a leaf that requires a
 /// gradient into another such leaf, and a graph is built again.)
 pub(crate) fn constant<const D: usize>(tensor: Tensor<D>) -> Tensor<D> {

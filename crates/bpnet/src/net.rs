@@ -1,9 +1,9 @@
-use burn::tensor::{DType, Device, Tensor, activation};
+use burn::tensor::{DType, Device, Tensor};
 
 use crate::encoding::{ENCODING_CHANNELS, positional_encoding};
 use crate::extractor::{FEATURE_CHANNELS, INPUT_CHANNELS, features};
 use crate::init::Initializer;
-use crate::layers::{Layer, constant, conv, softmax_rows};
+use crate::layers::{Layer, constant, conv, sigmoid, softmax_rows};
 use crate::{BlurField, BpNetError};
 
 /// Channels of the camera embedding, one row per training frame.
@@ -253,7 +253,7 @@ impl BpNet {
         let intensity = conv(hidden, &self.intensity_head, [height, width], 1, false);
         Ok(BlurField {
             kernel: softmax_rows(logits).reshape([height, width, entries]),
-            intensity: activation::sigmoid(intensity).reshape([height, width]),
+            intensity: sigmoid(intensity).reshape([height, width]),
         })
     }
 

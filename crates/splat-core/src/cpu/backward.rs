@@ -1,6 +1,6 @@
 //! The whole backward pass: from the gradient of the output to the gradient of every input.
 
-use super::project_backward::project_backward;
+use super::project_backward::{all_finite, project_backward};
 use super::raster_backward::partial_gradients;
 use super::{BASE_CHANNELS, Projection, RasterState, Real, SplatSlices};
 use crate::SplatError;
@@ -96,6 +96,6 @@ pub fn backward<T: Real>(
         state.num_features,
         &partial,
         options,
-        v_output.iter().fold(true, |ok, v| ok & v.is_finite()),
+        all_finite(v_output),
     ))
 }

@@ -57,7 +57,7 @@ impl<T: Real> Piece<'_, T> {
 
 /// Without a branch per value, so that it runs at memory speed.
 #[inline(always)]
-fn all_finite<T: Real>(values: &[T]) -> bool {
+pub(super) fn all_finite<T: Real>(values: &[T]) -> bool {
     values.iter().fold(true, |ok, v| ok & v.is_finite())
 }
 
