@@ -73,8 +73,10 @@ impl Lens {
     /// Checks the numbers and that there is no distortion worth a thousandth of a pixel.
     pub(crate) fn into_pinhole(self, path: &Path) -> Result<Camera, IoError> {
         let c = &self.camera;
-        let finite = [c.fx, c.fy, c.cx, c.cy].iter().all(|v| v.is_finite());
-        if !finite || c.fx <= 0.0 || c.fy <= 0.0 || c.width == 0 || c.height == 0 {
+        // Far beyond any lens, and far from overflow when the camera is scaled.
+        let focal = [c.fx, c.fy].iter().all(|f| (1e-3..=1e9).contains(f));
+        let center = [c.cx, c.cy].iter().all(|v| v.abs() <= 1e9);
+        if !focal || !center || c.width == 0 || c.height == 0 {
             return Err(IoError::malformed(
                 path,
                 format!(

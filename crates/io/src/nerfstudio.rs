@@ -97,7 +97,7 @@ pub(crate) fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> 
         notes.push("mask_path, as in nerfstudio: black pixels are what moves".into());
     }
 
-    let names = names(&training);
+    let names = names(&training, &path)?;
     let images = match &options.images {
         None => training.iter().map(|e| root.join(&e.file_path)).collect(),
         Some(other) => other_images(&root.join(other), &names, &mut notes)?,
@@ -116,7 +116,7 @@ pub(crate) fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> 
         });
     }
     let mut views = Vec::with_capacity(test.len());
-    for ((entry, name), time) in test.iter().zip(self::names(&test)).zip(test_times) {
+    for ((entry, name), time) in test.iter().zip(self::names(&test, &path)?).zip(test_times) {
         views.push(view(root, &path, &transforms, entry, name, time)?);
     }
     let points = match &transforms.ply_file_path {
@@ -136,20 +136,26 @@ pub(crate) fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> 
 }
 
 /// File stems; whole paths where a stem is there twice.
-fn names(entries: &[&Entry]) -> Vec<String> {
+fn names(entries: &[&Entry], path: &Path) -> Result<Vec<String>, IoError> {
+    let are_unique = |names: &[String]| names.iter().collect::<BTreeSet<_>>().len() == names.len();
     let stems: Vec<_> = entries
         .iter()
         .map(|e| stem_of(&e.file_path).to_string())
         .collect();
-    if stems.iter().collect::<BTreeSet<_>>().len() == stems.len() {
-        return stems;
+    if are_unique(&stems) {
+        return Ok(stems);
     }
     let whole = |e: &&Entry| {
         let path = e.file_path.trim_start_matches("./");
         let without = path.rsplit_once('.').map_or(path, |(front, _)| front);
         without.replace(['/', '\\'], "_")
     };
-    entries.iter().map(whole).collect()
+    let names: Vec<_> = entries.iter().map(whole).collect();
+    if !are_unique(&names) {
+        let what = "two frames have the same file_path but for its ending or its separators";
+        return Err(IoError::names(path, what));
+    }
+    Ok(names)
 }
 
 /// Training frames and test views.
@@ -264,6 +270,11 @@ fn order_by_time(
             format!("time of {}", list_names(&names)),
             "give it to every frame or to none",
         ));
+    }
+    let far = |e: &&&Entry| e.time.is_some_and(|t| t.abs() > f64::from(f32::MAX));
+    if let Some(entry) = training.iter().chain(test).find(far) {
+        let what = format!("{} has time {:?}", entry.file_path, entry.time);
+        return Err(IoError::malformed(path, what));
     }
     let times: Vec<f64> = training.iter().filter_map(|e| e.time).collect();
     let all_the_same = times.iter().all(|t| *t == times[0]);

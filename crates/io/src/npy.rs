@@ -79,7 +79,8 @@ pub(crate) fn parse_npy(data: &[u8], path: &Path, what: &str) -> Result<Array, I
     Ok(Array { shape, values })
 }
 
-/// Refuses headers that would make the parser allocate, recurse or multiply beyond reason.
+/// Refuses headers that would make the parser allocate, recurse, backtrack or multiply beyond reason: an
+/// array of plain numbers has one dictionary and in it one shape, written without escapes.
 fn check_header(data: &[u8], path: &Path, what: &str) -> Result<(), IoError> {
     const MAX_HEADER: usize = 1 << 16;
     if data.len() < 12 || &data[..6] != b"\x93NUMPY" {
@@ -101,7 +102,14 @@ fn check_header(data: &[u8], path: &Path, what: &str) -> Result<(), IoError> {
         ));
     }
     let text = String::from_utf8_lossy(&data[start..start + length]);
-    let nested = text.matches(['(', '[', '{']).count();
+    let count = |pattern: &str| text.matches(pattern).count();
+    if count("[") > 0 {
+        return Err(IoError::malformed(
+            path,
+            format!("{what} does not hold plain numbers"),
+        ));
+    }
+    let plain = count("{") == 1 && count("(") == 1 && count("shape") == 1 && count("\\") == 0;
     let shape = text
         .split_once("shape")
         .and_then(|(_, rest)| rest.split_once('('))
@@ -115,7 +123,7 @@ fn check_header(data: &[u8], path: &Path, what: &str) -> Result<(), IoError> {
                 n.checked_mul(side.parse::<u64>().ok()?.max(1))
             })
     });
-    if nested > 16 || elements.is_none() {
+    if !plain || elements.is_none() {
         return Err(IoError::malformed(
             path,
             format!("{what} has no usable npy header"),
@@ -272,6 +280,20 @@ mod tests {
                 "overflowing beside a zero",
                 dict("(0, 9223372036854775807, 9223372036854775807)", "'<f4'"),
             ),
+            (
+                "overflowing, after another shape",
+                with(
+                    "{'old_shape': (1,), 'descr': '<f4', 'fortran_order': False, \
+                     'shape': (4294967296, 4294967296, 4)}",
+                ),
+            ),
+            (
+                "overflowing, escaped",
+                with(
+                    "{'old_shape': (1,), 'descr': '<f4', 'fortran_order': False, \
+                     'sh\\x61pe': [4294967296, 4294967296, 4]}",
+                ),
+            ),
             ("negative", dict("(-4, 4)", "'<f4'")),
             ("pickled", dict("(1,)", "'|O'")),
             ("a record", dict("(1,)", "[('a', '<f4')]")),
@@ -279,6 +301,15 @@ mod tests {
             (
                 "nested",
                 with(&format!("{}'shape': (1,)", "[".repeat(60_000))),
+            ),
+            // Time doubles with each bracket: it may be a set or a dictionary.
+            (
+                "backtracking",
+                with(&format!(
+                    "{}'{}', 'shape': (1,)",
+                    "{".repeat(15),
+                    "a".repeat(60_000)
+                )),
             ),
             ("long header", {
                 let mut data = b"\x93NUMPY\x02\x00".to_vec();

@@ -157,6 +157,10 @@ pub(crate) fn read_points(path: &Path) -> Result<Vec<SparsePoint>, IoError> {
             return Err(IoError::not_a_number(path, format!("vertex {i}")));
         }
         let color = colors.map(|c| c.map_or(0.5, |values| (values[i] / 255.0) as f32));
+        if !color.iter().all(|c| (0.0..=1.0).contains(c)) {
+            let what = format!("the colour of vertex {i} is not from 0 to 255");
+            return Err(IoError::malformed(path, what));
+        }
         points.push(SparsePoint { position, color });
     }
     Ok(points)

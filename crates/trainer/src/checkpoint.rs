@@ -124,7 +124,8 @@ impl Trainer {
                 scene.frames.len()
             )));
         }
-        header.settings.validate()?;
+        let valid = header.settings.validate();
+        valid.map_err(|e| fail(e.to_string()))?;
         // The survey is made again for what it does to the scene's depth, and must agree.
         let found = survey(&mut scene)?;
         if found.scene_size != header.survey.scene_size {
@@ -147,8 +148,9 @@ impl Trainer {
             }
             let values: Vec<f32> = bytemuck::pod_collect_to_vec(view.data());
             if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-                let value = values[at];
-                return Err(fail(format!("tensor {name}, entry {at} is {value}")));
+                let columns = view.shape().iter().skip(1).product::<usize>().max(1);
+                let (value, row) = (values[at], at / columns);
+                return Err(fail(format!("tensor {name} has {value} in row {row}")));
             }
             Ok((values, view.shape().to_vec()))
         };
@@ -242,7 +244,8 @@ impl Trainer {
             )));
         }
         let near = header.settings.gaussians.near * header.survey.scene_size;
-        let unseen = make_unseen(&scene, &header.settings, &header.survey, near)?;
+        let unseen = make_unseen(&scene, &header.settings, &header.survey, near)
+            .map_err(|e| fail(e.to_string()))?;
         let modelled = Modelled {
             motion: header.has_motion,
             blur: header.has_blur,
@@ -313,8 +316,17 @@ fn check_shapes(model: &Model, header: &Header) -> Result<(), String> {
     if model.num_dynamic > n {
         return Err(format!("{} dynamic Gaussians of {n}", model.num_dynamic));
     }
+    if n == 0 {
+        return Err("there is no Gaussian".to_owned());
+    }
+    if model.motion.is_some() != (model.num_dynamic > 0) {
+        return Err("motion and dynamic Gaussians come together".to_owned());
+    }
     if let Some(motion) = &model.motion {
         let bases = motion.bases.rots.dims()[0];
+        if bases == 0 {
+            return Err("there is no motion basis".to_owned());
+        }
         let expected = [
             (
                 "motion.rots",

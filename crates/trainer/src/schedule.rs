@@ -61,10 +61,12 @@ impl Schedule {
             unseen_from: modelled.unseen.then(|| at(settings.unseen.from)),
             unseen_every: settings.unseen.every,
             blur_from,
-            blur_step_from: blur_from.map(|b| b + settings.blur.hold.min(n / 8)),
-            kernel_center_from: blur_from
-                .map(|b| at(settings.loss.kernel_center_from).max(b + 500.min(n / 4))),
-            downsample_from: blur_from.map(|b| b + at(settings.loss.downsample_after)),
+            blur_step_from: blur_from.map(|b| b.saturating_add(settings.blur.hold.min(n / 8))),
+            kernel_center_from: blur_from.map(|b| {
+                at(settings.loss.kernel_center_from).max(b.saturating_add(500.min(n / 4)))
+            }),
+            downsample_from: blur_from
+                .map(|b| b.saturating_add(at(settings.loss.downsample_after))),
             control_from: at(settings.gaussians.control_from),
             control_until: at(settings.gaussians.control_until),
             control_every: at(settings.gaussians.control_every).max(num_frames).max(25),
@@ -258,6 +260,18 @@ mod tests {
             "unseen views follow on 3,000"
         );
         assert!((1..=9999).all(|it| !schedule(9999, 24).resets_opacity(it)));
+    }
+
+    #[test]
+    fn moments_after_any_end_never_come() {
+        let mut settings = Settings::default();
+        settings.blur.from = usize::MAX;
+        settings.loss.downsample_after = usize::MAX;
+        let s = Schedule::new(&settings, 24, ALL);
+        assert_eq!(first(40_000, |it| s.is_blurred(it)), None);
+        assert_eq!(first(40_000, |it| s.steps_blur(it)), None);
+        assert_eq!(first(40_000, |it| s.has_kernel_center(it)), None);
+        assert_eq!(first(40_000, |it| s.has_downsample(it)), None);
     }
 
     #[test]

@@ -180,7 +180,8 @@ fn pose(
     let [w, x, y, z] = quat;
     let quat = DQuat::from_xyzw(x, y, z, w);
     let translation = DVec3::from_array(translation);
-    if !translation.is_finite() || !quat.is_finite() || quat.length() < 1e-6 {
+    // The length is infinite where squares overflow.
+    if !translation.is_finite() || !(1e-6..f64::INFINITY).contains(&quat.length()) {
         return Err(IoError::malformed(
             path,
             format!("image {name} has no usable pose"),

@@ -1,0 +1,31 @@
+//! `trainer`'s checkpoint. Apart from the parsers of `io`, because Burn takes long to compile.
+
+use std::fs;
+use std::path::Path;
+
+use io::Scene;
+use trainer::{CHECKPOINT_FILE, Device, TrainError, Trainer};
+
+/// A checkpoint of the scene `binary`, loaded and asked for its Gaussians.
+pub fn checkpoint(scenes: &Path, bytes: &[u8]) -> Result<(), TrainError> {
+    let scene = Scene::open(&scenes.join("binary"))?;
+    fs::write(scenes.join(CHECKPOINT_FILE), bytes).expect("a file can be written");
+    let trainer = Trainer::load(scenes, scene, &Device::flex())?;
+    let model = trainer.model();
+    for time in [None, Some(0.5)] {
+        let gaussians = model.gaussians(time);
+        let lengths = [
+            gaussians.means.len(),
+            gaussians.quats.len(),
+            gaussians.log_scales.len(),
+            gaussians.opacity_logits.len(),
+            gaussians.sh.len() / (3 * (gaussians.sh_degree + 1).pow(2)),
+        ];
+        assert_eq!(lengths, [model.num_gaussians(); 5], "rows");
+    }
+    for (name, parameter) in model.parameters() {
+        let values: Vec<f32> = parameter.into_data().try_to_vec().expect("f32");
+        assert!(values.iter().all(|v| v.is_finite()), "{name}: {values:?}");
+    }
+    Ok(())
+}
