@@ -159,9 +159,10 @@ impl<T: Real> UnblendTile<'_, T> {
                         let inverse = T::ONE / (T::ONE - alpha);
                         // Not after / (1 - alpha), for the forward pass' reason.
                         let after = transmittance[l];
-                        let before = after + alpha * inverse * after;
+                        let share = alpha * inverse * after;
+                        let before = after + share;
                         transmittance[l] = before;
-                        weight[l] = alpha * before;
+                        weight[l] = share;
                         let v_alpha = before * dot[l] - behind[l] * inverse;
                         behind[l] += weight[l] * dot[l];
                         // ∂alpha/∂sigma = -alpha, and 0 where alpha is clamped.
