@@ -103,7 +103,7 @@ impl Default for GradLimits {
 /// returns the figures of every input.
 ///
 /// `f` gets the inputs (f64, on an autodiff device, in the given order) and returns a tensor of
-/// shape [1]. Every entry of every input is perturbed by itself. A numeric gradient that is zero
+/// shape `[1]`. Every entry of every input is perturbed by itself. A numeric gradient that is zero
 /// everywhere fails the check, unless the analytic one is zero too and `allow_zero` names the input;
 /// such an input has no figures.
 ///

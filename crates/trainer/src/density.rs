@@ -23,9 +23,9 @@ const SPLIT_SHRINK: f64 = 1.6;
 /// Screen-space gradients gathered since the last density control.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DensityStats {
-    /// Sum of the norms of the screen-space gradient (NDC units), [N].
+    /// Sum of the norms of the screen-space gradient (NDC units), `[N]`.
     pub grad_sum: Vec<f32>,
-    /// Number of iterations in which the Gaussian was drawn, [N].
+    /// Number of iterations in which the Gaussian was drawn, `[N]`.
     pub count: Vec<u32>,
 }
 
@@ -39,8 +39,8 @@ impl DensityStats {
         }
     }
 
-    /// Adds one iteration: the norms of the screen-space gradient [N] of the Gaussians whose radius in
-    /// pixels [N] is above zero.
+    /// Adds one iteration: the norms of the screen-space gradient `[N]` of the Gaussians whose radius in
+    /// pixels `[N]` is above zero.
     ///
     /// # Panics
     /// Panics if a length is not N.
@@ -59,7 +59,7 @@ impl DensityStats {
         }
     }
 
-    /// The mean gradient norm of every Gaussian, [N]; zero for one that was never drawn.
+    /// The mean gradient norm of every Gaussian, `[N]`; zero for one that was never drawn.
     #[must_use]
     pub fn average(&self) -> Vec<f32> {
         self.grad_sum
@@ -109,7 +109,7 @@ enum Fate {
 /// Gaussian are never removed, so that neither kind dies out. Within a kind the order is: rows that stay, clones,
 /// children, each by old row.
 ///
-/// `average` [N] is [`DensityStats::average`], `log_scales` [N, 3], `opacity_logits` [N].
+/// `average` `[N]` is [`DensityStats::average`], `log_scales` [N, 3], `opacity_logits` `[N]`.
 ///
 /// # Panics
 /// Panics if the lengths do not agree or `num_dynamic` exceeds N.

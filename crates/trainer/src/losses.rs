@@ -1,4 +1,4 @@
-//! Losses on tensors. Each is a scalar of shape [1] and differentiable in its first tensor; what is
+//! Losses on tensors. Each is a scalar of shape `[1]` and differentiable in its first tensor; what is
 //! selected, trimmed or fitted is decided on detached values.
 
 mod depth;

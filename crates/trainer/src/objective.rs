@@ -50,7 +50,7 @@ impl Objective {
 }
 
 impl Trainer {
-    /// The weighted terms of the loss of training frame `frame` at iteration `it` (1-based), each of shape [1].
+    /// The weighted terms of the loss of training frame `frame` at iteration `it` (1-based), each of shape `[1]`.
     ///
     /// `model` is the trainer's own or one like it, in f64 for example. What the gradient stops at comes from `fixed`: BP-Net's
     /// inputs, alpha under the depth, the intensity that kernels are pulled to. Training takes both to be its own; a check

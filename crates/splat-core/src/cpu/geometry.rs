@@ -73,7 +73,7 @@ pub(super) struct Geometry<T> {
     pub(super) scale: [T; 3],
     /// The two rows of J * `in_cam` * diag(scale): the covariance is their Gram matrix + low-pass.
     pub(super) rows: [[T; 3]; 2],
-    /// rows[0] - rho * rows[1].
+    /// rows[0] - rho * rows`[1]`.
     pub(super) residual: [T; 3],
     pub(super) xx: T,
     pub(super) yy: T,

@@ -93,7 +93,7 @@ pub fn fit_disparity(given: &[f64], wanted: &[f64]) -> DisparityFit {
     fit
 }
 
-/// L1 between rendered and given disparity, times the scene size S; shape [1].
+/// L1 between rendered and given disparity, times the scene size S; shape `[1]`.
 ///
 /// `depth` [H, W] is Σ z α T and `alpha` [H, W] is Σ α T of the render, `given` [H, W] the depth of the input (scene units), zero,
 /// negative or infinite where it is missing. The rendered depth is depth / alpha with alpha detached, so the gradient

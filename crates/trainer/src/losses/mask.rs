@@ -18,7 +18,7 @@ pub fn mask_band(width: usize) -> usize {
 /// carry no loss: blurred movers spill over it. Of the others the largest errors are left out, those above the 98 % quantile,
 /// inside and outside **each by itself**: a mover under 2 % of the picture would otherwise have no loss.
 /// Pixels that are not `valid` (the holes of an unseen view) carry none either.
-/// The result is the mean over what is kept; zero where nothing is. Shape [1].
+/// The result is the mean over what is kept; zero where nothing is. Shape `[1]`.
 ///
 /// # Panics
 /// Panics if `target` or `valid` does not have H W entries.

@@ -20,7 +20,7 @@ const C2: f64 = 9e-4;
 const LANES: usize = 4;
 
 /// Mean SSIM of two pictures [H, W, 3]: 11x11 Gaussian window of sigma 1.5, zeros outside the picture, C1 = 0.01²,
-/// C2 = 0.03², mean over pixels and channels. Shape [1].
+/// C2 = 0.03², mean over pixels and channels. Shape `[1]`.
 ///
 /// Differentiable in `a`; `b` is data. The gradient is computed together with the value, and only if `a` is tracked.
 ///
