@@ -1,7 +1,7 @@
 //! Adam and density control on tensors, on every backend that is compiled in.
 
 use burn::tensor::DType;
-use limpid_tests::{devices, tensor, unit_noise, values};
+use limpid_tests::{devices, property, tensor, unit_noise, values};
 use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step, check_gradient};
 use trainer::density::{
     DensityOptions, RowEdit, RowKind, add_to_rows, gather_rows, plan_density, reset_opacity,
@@ -152,7 +152,7 @@ fn row_changes_give_leaves() {
 
 #[test]
 fn density_plans_keep_their_promises() {
-    arbtest::arbtest(|u| {
+    property("density plans", 200, |u| {
         let rows = u.int_in_range(0..=40_usize)?;
         let num_dynamic = u.int_in_range(0..=rows)?;
         let mut draw = |levels: &[f32]| -> arbtest::arbitrary::Result<Vec<f32>> {

@@ -8,6 +8,8 @@
 //! Conventions: camera axes x right, y down, z forward; the centre of pixel (i, j) is at
 //! (i + 0.5, j + 0.5); depth is z-depth in scene units; poses are named `cam_from_world`.
 
+#[cfg(test)]
+mod cases;
 mod error;
 mod pose;
 mod warp;

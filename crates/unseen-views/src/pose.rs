@@ -73,8 +73,8 @@ fn unit(v: DVec3) -> Option<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cases::cases;
     use arbtest::arbitrary::{Result, Unstructured};
-    use arbtest::arbtest;
     use glam::DQuat;
     use splat_core::camera_center;
 
@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_pose_is_half_way_between_itself_and_itself() {
-        arbtest(|u| {
+        cases(|u| {
             let a = pose(u)?;
             let middle = parallel_pose(&a, &a).expect("a pose has a direction");
             assert!(
@@ -130,7 +130,7 @@ mod tests {
 
     #[test]
     fn half_way_is_rigid_and_does_not_depend_on_the_order() {
-        arbtest(|u| {
+        cases(|u| {
             let (a, b) = (pose(u)?, pose(u)?);
             let (ab, ba) = (parallel_pose(&a, &b), parallel_pose(&b, &a));
             assert_eq!(ab, ba, "the order of the pair decided");
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn across_is_perpendicular_to_view_and_baseline_and_as_far_as_told() {
-        arbtest(|u| {
+        cases(|u| {
             let (a, b, offset) = (pose(u)?, pose(u)?, number(u, 2.0)?);
             let moved = perpendicular_pose(&a, &b, offset);
             assert_eq!(moved.matrix3, a.matrix3, "the rotation changed");
