@@ -68,3 +68,15 @@ pub fn unit_noise(count: usize, seed: usize) -> Vec<f64> {
         .map(|i| ((i * 7919 + seed * 104_729 + i * i * 31) % 10_007) as f64 / 10_007.0)
         .collect()
 }
+
+/// Runs `f` where rayon has so many threads.
+///
+/// # Panics
+/// Panics if the system refuses the threads.
+pub fn in_pool<T: Send>(threads: usize, f: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("a pool of threads")
+        .install(f)
+}

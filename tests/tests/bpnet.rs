@@ -6,7 +6,7 @@ use bpnet::{
     centroid, composite, kernel_center_loss,
 };
 use burn::tensor::{DType, Device, Tensor};
-use limpid_tests::{devices, tensor, unit_noise, values};
+use limpid_tests::{devices, in_pool, tensor, unit_noise, values};
 
 fn config(kernel_size: usize, head: HeadInit) -> BpNetConfig {
     BpNetConfig {
@@ -339,11 +339,7 @@ fn one_and_two_threads_give_the_same_bits() {
     for (name, device) in devices() {
         let device = device.autodiff();
         let run = |threads: usize| -> Vec<Vec<f64>> {
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(threads)
-                .build()
-                .expect("threads can be started");
-            pool.install(|| {
+            in_pool(threads, || {
                 let net = BpNet::new(&config(9, HeadInit::Mild), &device, DType::F32)
                     .expect("the configuration is valid");
                 let mut inputs = inputs(50, 67, &device, DType::F32);

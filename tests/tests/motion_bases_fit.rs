@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DQuat, DVec3};
-use limpid_tests::{GradLimits, check_gradients, devices};
+use limpid_tests::{GradLimits, check_gradients, devices, in_pool};
 use motion_bases::{
     FitCamera, FitData, InitOptions, MotionBases, MotionError, MotionInit, Tracks3d, fit_loss,
     initialize, positions_all_frames,
@@ -407,11 +407,7 @@ fn the_fit_has_the_same_bits_with_one_thread_and_with_two() {
     for (name, device) in devices() {
         let device = device.autodiff();
         let run = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(threads)
-                .build()
-                .unwrap();
-            pool.install(|| {
+            in_pool(threads, || {
                 let scene = two_movers(900, 12, 0.02);
                 let init = initialize(
                     &scene.tracks,

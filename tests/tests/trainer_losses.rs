@@ -1,7 +1,7 @@
 //! The trainer's losses on tensors, on every backend that is compiled in.
 
 use burn::tensor::{DType, Tensor};
-use limpid_tests::{GradLimits, check_gradients, devices, tensor, unit_noise, values};
+use limpid_tests::{GradLimits, check_gradients, devices, in_pool, tensor, unit_noise, values};
 use trainer::losses::{
     depth_loss, downsample_loss, intensity_penalty, l1, mask_band, mask_loss, photometric, ssim,
 };
@@ -97,11 +97,7 @@ fn ssim_has_the_same_bits_with_one_and_two_threads() {
     for (name, device) in devices() {
         let device = device.autodiff();
         let run = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(threads)
-                .build()
-                .expect("a pool of threads");
-            pool.install(|| {
+            in_pool(threads, || {
                 let shape = [40, 64, 3];
                 let a = tensor(&unit_noise(40 * 64 * 3, 2), shape, &device, DType::F32);
                 let a = a.require_grad();

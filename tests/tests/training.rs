@@ -2,8 +2,8 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use io::Scene;
-use limpid_tests::devices;
 use limpid_tests::tiny::{camera, pose, scene, settings};
+use limpid_tests::{devices, in_pool};
 use splat_core::{RenderOptions, Splats, pose_rows, render};
 use trainer::Trainer;
 
@@ -24,14 +24,6 @@ fn bits(trainer: &Trainer) -> Vec<(String, Vec<u32>)> {
             (name, values.into_iter().map(f32::to_bits).collect())
         })
         .collect()
-}
-
-fn in_pool<T: Send>(threads: usize, f: impl FnOnce() -> T + Send) -> T {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .expect("a pool")
-        .install(f)
 }
 
 fn assert_same(a: &[(String, Vec<u32>)], b: &[(String, Vec<u32>)], what: &str) {
