@@ -2,8 +2,8 @@
 //! start, what it refuses, and its bits on one and two threads.
 
 use bpnet::{
-    BlurField, BlurInputs, BpNet, BpNetConfig, BpNetError, Extractor, HeadInit, blur, cell_means,
-    centroid, composite, kernel_center_loss,
+    BlurInputs, BpNet, BpNetConfig, BpNetError, Extractor, HeadInit, blur, cell_means, composite,
+    kernel_center_loss,
 };
 use burn::tensor::{DType, Device, Tensor};
 use limpid_tests::{devices, in_pool, tensor, unit_noise, values};
@@ -13,6 +13,7 @@ fn config(kernel_size: usize, head: HeadInit) -> BpNetConfig {
         kernel_size,
         num_frames: 3,
         shortcut: true,
+        downscale: 1,
         head,
         seed: 7,
     }
@@ -52,10 +53,10 @@ fn a_constant_image_stays_constant_up_to_the_border() {
             .forward(0, &inputs, Extractor::Trained)
             .expect("the shapes fit");
         let output = composite(inputs.color, &field).expect("the shapes fit");
-        for value in values(output) {
+        for value in values(output.picture()) {
             assert!((value - 0.7).abs() < 1e-6, "{name}: {value}");
         }
-        for sum in values(field.kernel.sum_dim(2)) {
+        for sum in values(field.kernel().sum_dim(2)) {
             assert!((sum - 1.0).abs() < 1e-6, "{name}: a kernel sums to {sum}");
         }
     }
@@ -125,19 +126,21 @@ fn the_mild_head_starts_near_a_gaussian_of_one_pixel() {
     for (name, device) in devices() {
         let net = BpNet::new(&config(9, HeadInit::Mild), &device, DType::F32)
             .expect("the configuration is valid");
+        let inputs = inputs(12, 16, &device, DType::F32);
         let field = net
-            .forward(1, &inputs(12, 16, &device, DType::F32), Extractor::Trained)
+            .forward(1, &inputs, Extractor::Trained)
             .expect("the shapes fit");
-        for m in values(field.intensity.clone()) {
+        let blurred = composite(inputs.color, &field).expect("the shapes fit");
+        for m in values(field.intensity()) {
             assert!((m - 0.5).abs() < 0.05, "{name}: m starts at {m}");
         }
-        for kernel in values(field.kernel.clone()).chunks_exact(81) {
+        for kernel in values(field.kernel()).chunks_exact(81) {
             let variance: f64 = (0..81)
                 .map(|j| kernel[j] * (j as f64 % 9.0 - 4.0).powi(2))
                 .sum();
             assert!((variance - 1.0).abs() < 0.2, "{name}: variance {variance}");
         }
-        for shift in values(centroid(&field)) {
+        for shift in values(blurred.centroid()) {
             assert!(
                 shift.abs() < 0.1,
                 "{name}: the blur starts off centre by {shift} px"
@@ -149,11 +152,12 @@ fn the_mild_head_starts_near_a_gaussian_of_one_pixel() {
 /// A loss whose gradient reaches every parameter.
 fn loss(net: &BpNet, inputs: &BlurInputs, extractor: Extractor) -> Tensor<1> {
     let field = net.forward(1, inputs, extractor).expect("the shapes fit");
-    let output = composite(inputs.color.clone(), &field).expect("the shapes fit");
+    let blurred = composite(inputs.color.clone(), &field).expect("the shapes fit");
+    let output = blurred.picture();
     let target = (output.clone().detach() + 1.3).sin();
-    let cells = cell_means(centroid(&field), 2, 3);
+    let cells = cell_means(blurred.centroid(), 2, 3);
     (output - target).powi_scalar(2).mean()
-        + kernel_center_loss(&field) * 0.3
+        + kernel_center_loss(blurred.center_weight(), blurred.intensity()) * 0.3
         + (cells.clone() * cells).mean() * 10.0
 }
 
@@ -168,7 +172,9 @@ fn kernel_and_intensity_learn_from_the_first_step() {
             .forward(1, &inputs, Extractor::Trained)
             .expect("the shapes fit");
         // The photometric term alone: nothing else may be needed to leave the start.
-        let output = composite(inputs.color.clone(), &field).expect("the shapes fit");
+        let output = composite(inputs.color.clone(), &field)
+            .expect("the shapes fit")
+            .picture();
         let target = tensor::<3>(
             &unit_noise(12 * 16 * 3, 9),
             [12, 16, 3],
@@ -234,7 +240,7 @@ fn nothing_flows_back_into_the_inputs_of_the_net() {
         let field = net
             .forward(0, &inputs, Extractor::Trained)
             .expect("the shapes fit");
-        let grads = (field.kernel.narrow(2, 3, 1).sum() + field.intensity.sum()).backward();
+        let grads = (field.kernel().narrow(2, 3, 1).sum() + field.intensity().sum()).backward();
         assert!(inputs.color.grad(&grads).is_none(), "{name}: colour");
         assert!(inputs.disparity.grad(&grads).is_none(), "{name}: disparity");
         assert!(inputs.mask.grad(&grads).is_none(), "{name}: mask");
@@ -296,16 +302,13 @@ fn moved_loss(moved: &BpNet, inputs: &BlurInputs, fixed: &BpNet) -> f64 {
         net.forward(1, inputs, Extractor::Frozen)
             .expect("the shapes fit")
     };
-    let (field, old) = (at(moved), at(fixed));
-    let output = composite(inputs.color.clone(), &field).expect("the shapes fit");
-    let target = (composite(inputs.color.clone(), &old).expect("the shapes fit") + 1.3).sin();
-    let cells = cell_means(centroid(&field), 2, 3);
-    let sparse = BlurField {
-        kernel: field.kernel,
-        intensity: old.intensity,
-    };
+    let seen = |field| composite(inputs.color.clone(), &field).expect("the shapes fit");
+    let (blurred, old) = (seen(at(moved)), seen(at(fixed)));
+    let output = blurred.picture();
+    let target = (old.picture() + 1.3).sin();
+    let cells = cell_means(blurred.centroid(), 2, 3);
     let loss = (output - target).powi_scalar(2).mean()
-        + kernel_center_loss(&sparse) * 0.3
+        + kernel_center_loss(blurred.center_weight(), old.intensity()) * 0.3
         + (cells.clone() * cells).mean() * 10.0;
     values(loss)[0]
 }
@@ -319,7 +322,7 @@ fn single_precision_follows_double() {
             let field = net
                 .forward(2, &inputs(20, 30, &device, dtype), Extractor::Trained)
                 .expect("the shapes fit");
-            (values(field.kernel), values(field.intensity))
+            (values(field.kernel()), values(field.intensity()))
         });
         let [(kernel, intensity), (single_kernel, single_intensity)] = fields;
         for (a, b) in kernel.iter().zip(single_kernel) {

@@ -1,7 +1,7 @@
 //! The blur model against blur that is known: frames of one sharp picture, each with its own line blur,
 //! from which picture and model are learned together, as design section 4.1 starts them.
 
-use bpnet::{BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, cell_means, centroid, composite};
+use bpnet::{BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, cell_means, composite};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use limpid_tests::devices;
 
@@ -137,6 +137,7 @@ fn learn(frames: &[Vec<f64>], start: &[f64], recipe: &Recipe, device: &Device) -
         kernel_size: 9,
         num_frames: frames.len(),
         shortcut: true,
+        downscale: 1,
         head: HeadInit::Mild,
         seed: 3,
     };
@@ -182,13 +183,13 @@ fn learn(frames: &[Vec<f64>], start: &[f64], recipe: &Recipe, device: &Device) -
             .forward(frame, &inputs, Extractor::Trained)
             .expect("the shapes fit");
         let output = composite(inputs.color, &field).expect("the shapes fit");
-        let cells = cell_means(centroid(&field), 4, 8);
+        let cells = cell_means(output.centroid(), 4, 8);
         table[frame] = None;
         let others = table.iter().flatten().cloned();
         let visited = 1 + table.iter().flatten().count();
         let mean = others.fold(cells.clone(), |sum, cells| sum + cells) / visited as f64;
         let gauge = (mean.clone() * mean).sum_dim(1).mean() * visited as f64;
-        let loss = (output - seen[frame].clone()).abs().mean() + gauge * recipe.gauge;
+        let loss = (output.picture() - seen[frame].clone()).abs().mean() + gauge * recipe.gauge;
         table[frame] = Some(cells.detach());
 
         let grads = loss.backward();
@@ -206,11 +207,13 @@ fn learn(frames: &[Vec<f64>], start: &[f64], recipe: &Recipe, device: &Device) -
 
     let (mut mean_intensity, mut shift) = (Vec::new(), [0.0; 2]);
     for frame in 0..frames.len() {
+        let inputs = inputs(&picture);
         let field = net
-            .forward(frame, &inputs(&picture), Extractor::Frozen)
+            .forward(frame, &inputs, Extractor::Frozen)
             .expect("the shapes fit");
-        mean_intensity.push(to_vec(field.intensity.clone().mean())[0]);
-        let mean = to_vec(cell_means(centroid(&field), 1, 1));
+        let output = composite(inputs.color, &field).expect("the shapes fit");
+        mean_intensity.push(to_vec(field.intensity().mean())[0]);
+        let mean = to_vec(cell_means(output.centroid(), 1, 1));
         for axis in 0..2 {
             shift[axis] += mean[axis] / frames.len() as f64;
         }

@@ -83,11 +83,12 @@ fn every_poisoned_slot_of_a_blur_is_named_with_its_row() {
         ];
         let blur = |inputs: &[(&'static str, usize, Vec<f64>); 3]| {
             let image = tensor(&inputs[0].2, [h, w, 3], &device, DType::F32);
-            let field = BlurField {
-                kernel: tensor(&inputs[1].2, [h, w, k * k], &device, DType::F32),
-                intensity: tensor(&inputs[2].2, [h, w], &device, DType::F32),
-            };
-            composite(image, &field).map(values)
+            let field = BlurField::new(
+                tensor(&inputs[1].2, [h, w, k * k], &device, DType::F32),
+                tensor(&inputs[2].2, [h, w], &device, DType::F32),
+            )
+            .expect("the shapes fit");
+            composite(image, &field).map(|blurred| values(blurred.picture()))
         };
         assert!(blur(&good).is_ok(), "{name}");
         for index in 0..good.len() {
@@ -113,6 +114,7 @@ fn a_poisoned_blur_model_is_refused_by_name() {
             kernel_size: 3,
             num_frames: 2,
             shortcut: true,
+            downscale: 1,
             head: HeadInit::Mild,
             seed: 1,
         };

@@ -58,6 +58,7 @@ fn predicted_kernels_sum_to_one() {
             kernel_size: k,
             num_frames: 2,
             shortcut: u.arbitrary()?,
+            downscale: *u.choose(&[1, 2, 3])?,
             head: *u.choose(&[HeadInit::Mild, HeadInit::Framework])?,
             seed: u.arbitrary()?,
         };
@@ -79,7 +80,7 @@ fn predicted_kernels_sum_to_one() {
                 mask: tensor(&mask, [height, width], &device, dtype),
             };
             let field = net.forward(1, &inputs, Extractor::Trained);
-            let kernel = values(field.expect("good inputs").kernel);
+            let kernel = values(field.expect("good inputs").kernel());
             // The total by which all are divided is a sum of K² roundings.
             let limit = (k * k + 3) as f64 * rounding(dtype);
             for kernel in kernel.chunks_exact(k * k) {
@@ -106,13 +107,14 @@ fn a_delta_kernel_returns_the_image_whatever_the_intensity() {
         let mut intensity = numbers(u, height * width, 0.0, 1.0)?;
         intensity[0] = *u.choose(&[0.0, 1.0, -5.0, 1e6])?;
         for (name, device, dtype) in backends() {
-            let field = BlurField {
-                kernel: tensor(&kernel, [height, width, k * k], &device, dtype),
-                intensity: tensor(&intensity, [height, width], &device, dtype),
-            };
+            let field = BlurField::new(
+                tensor(&kernel, [height, width, k * k], &device, dtype),
+                tensor(&intensity, [height, width], &device, dtype),
+            )
+            .expect("the shapes fit");
             let image = tensor::<3>(&image, [height, width, 3], &device, dtype);
             let output = composite(image.clone(), &field).expect("the shapes fit");
-            assert_eq!(values(output), values(image), "{name}, K = {k}");
+            assert_eq!(values(output.picture()), values(image), "{name}, K = {k}");
         }
         Ok(())
     });
@@ -133,23 +135,24 @@ fn blurring_a_constant_image_returns_it_at_the_border_too() {
         let color = numbers(u, 3, -10.0, 10.0)?;
         let intensity = numbers(u, height * width, 0.0, 1.0)?;
         for (name, device, dtype) in backends() {
-            let field = BlurField {
-                kernel: tensor(&kernel, [height, width, k * k], &device, dtype),
-                intensity: tensor(&intensity, [height, width], &device, dtype),
-            };
+            let field = BlurField::new(
+                tensor(&kernel, [height, width, k * k], &device, dtype),
+                tensor(&intensity, [height, width], &device, dtype),
+            )
+            .expect("the shapes fit");
             let image = tensor::<3>(
                 &color.repeat(height * width),
                 [height, width, 3],
                 &device,
                 dtype,
             );
-            let blurred = blur(image.clone(), field.kernel.clone()).expect("the shapes fit");
+            let blurred = blur(image.clone(), field.kernel()).expect("the shapes fit");
             let mixed = composite(image.clone(), &field).expect("the shapes fit");
             // Numerator and denominator are sums of 2K roundings each; products, the quotient and the
             // mixing with the image add a few.
             let limit = (4 * k + 6) as f64 * rounding(dtype);
             let image = values(image);
-            for output in [values(blurred), values(mixed)] {
+            for output in [values(blurred), values(mixed.picture())] {
                 for (entry, (a, b)) in output.iter().zip(&image).enumerate() {
                     assert!(
                         (a - b).abs() <= limit * b.abs(),

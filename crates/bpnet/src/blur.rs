@@ -1,8 +1,6 @@
-use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::BpNetError;
-use crate::ops::BpNetOps;
+use crate::{BlurField, BpNetError, composite};
 
 /// Largest side of a blur kernel, in pixels.
 pub const MAX_KERNEL_SIZE: usize = 15;
@@ -19,23 +17,7 @@ pub const MAX_KERNEL_SIZE: usize = 15;
 /// [`BpNetError`] when K is not an odd number up to [`MAX_KERNEL_SIZE`], or when the inputs differ
 /// in size or element type, or hold a value that is not finite.
 pub fn blur(image: Tensor<3>, kernel: Tensor<3>) -> Result<Tensor<3>, BpNetError> {
-    let [height, width, entries] = kernel.dims();
-    let size = entries.isqrt();
-    if size * size != entries {
-        return Err(BpNetError::Shape {
-            name: "blur kernel",
-            found: kernel.dims().to_vec(),
-            expected: "[H, W, K * K]".to_owned(),
-        });
-    }
-    BpNetError::check_kernel_size(size)?;
-    BpNetError::check_shape("image", &image.dims(), &[height, width, 3])?;
-    BpNetError::check_dtype("image", image.dtype())?;
-    BpNetError::check_same_dtype("blur kernel", kernel.dtype(), image.dtype())?;
-    BpNetError::check_finite("image", &image, 3)?;
-    BpNetError::check_finite("blur kernel", &kernel, entries)?;
-    Ok(Tensor::from_dispatch(<Dispatch as BpNetOps>::blur(
-        image.into_dispatch(),
-        kernel.into_dispatch(),
-    )))
+    let [height, width, _] = kernel.dims();
+    let intensity = Tensor::ones([height, width], (&kernel.device(), kernel.dtype()));
+    Ok(composite(image, &BlurField::new(kernel, intensity)?)?.picture())
 }

@@ -1,7 +1,5 @@
 use std::f64::consts::TAU;
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
-
 /// Channels of the positional encoding: sine and cosine of four frequencies on two axes.
 pub const ENCODING_CHANNELS: usize = 16;
 
@@ -9,33 +7,10 @@ pub const ENCODING_CHANNELS: usize = 16;
 /// vary over an image beyond the first; the paper wants high-frequency detail.)
 const CYCLES: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 
-/// Positional encoding p(x) of every pixel centre, `[H * W, 16]`.
-///
-/// Channel order: x before y; per axis first the four sines, then the four cosines, by rising
-/// frequency 2^0 to 2^3 cycles over the image.
-#[must_use]
-pub fn positional_encoding(
-    [height, width]: [usize; 2],
-    device: &Device,
-    dtype: DType,
-) -> Tensor<2> {
-    let columns = axis_encoding(width);
-    let rows = axis_encoding(height);
-    let mut values = Vec::with_capacity(height * width * ENCODING_CHANNELS);
-    for row in &rows {
-        for column in &columns {
-            values.extend_from_slice(column);
-            values.extend_from_slice(row);
-        }
-    }
-    Tensor::from_data(
-        TensorData::new(values, [height * width, ENCODING_CHANNELS]),
-        (device, dtype),
-    )
-}
-
-/// Sines, then cosines, at each of `length` pixel centres along one axis.
-fn axis_encoding(length: usize) -> Vec<[f32; ENCODING_CHANNELS / 2]> {
+/// Positional encoding p(x) of the pixel centres along one axis of `length` pixels: first the four
+/// sines, then the four cosines, by rising frequency 2^0 to 2^3 cycles over the image. A pixel has that
+/// of its column, then that of its row.
+pub(crate) fn axis_encoding(length: usize) -> Vec<[f32; ENCODING_CHANNELS / 2]> {
     (0..length)
         .map(|i| {
             let position = (i as f64 + 0.5) / length as f64;

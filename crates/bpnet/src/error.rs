@@ -11,6 +11,15 @@ pub enum BpNetError {
         /// The side that was asked for, in pixels.
         kernel_size: usize,
     },
+    /// A scale out of its range.
+    #[error(
+        "features can be computed on a picture 1 to {} times smaller, not {downscale}",
+        crate::MAX_DOWNSCALE
+    )]
+    Downscale {
+        /// What was asked for.
+        downscale: usize,
+    },
     /// The camera embedding would have no row.
     #[error("the camera embedding needs at least one training frame")]
     NoFrames,

@@ -1,91 +1,146 @@
+use burn::backend::Dispatch;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
+use crate::BpNetError;
 use crate::layers::{constant, sigmoid};
-use crate::{BpNetError, blur};
+use crate::ops::BpNetOps;
 
-/// How every pixel of one frame was blurred, as BP-Net predicts it.
+/// How every pixel of one frame was blurred: a kernel and an intensity.
 #[derive(Clone, Debug)]
 pub struct BlurField {
-    /// Blur kernel of each pixel, `[H, W, K * K]`; not negative, sums to 1. Entry `ky * K + kx`
-    /// weighs the pixel at `(y + ky - K/2, x + kx - K/2)`.
-    pub kernel: Tensor<3>,
-    /// Blur intensity m of each pixel, `[H, W]`, from 0 (sharp) to 1.
-    pub intensity: Tensor<2>,
+    /// Kernel and intensity, `[H, W, K * K + 1]`.
+    values: Tensor<3>,
 }
 
 impl BlurField {
-    fn size(&self) -> [usize; 3] {
-        self.kernel.dims()
+    /// A field from kernels `[H, W, K * K]` and intensities `[H, W]`.
+    ///
+    /// # Errors
+    /// [`BpNetError`] when the shapes do not fit, K is not an odd number up to
+    /// [`MAX_KERNEL_SIZE`](crate::MAX_KERNEL_SIZE), or the element types differ.
+    pub fn new(kernel: Tensor<3>, intensity: Tensor<2>) -> Result<Self, BpNetError> {
+        let [height, width, entries] = kernel.dims();
+        let size = entries.isqrt();
+        if size * size != entries {
+            return Err(BpNetError::Shape {
+                name: "blur kernel",
+                found: kernel.dims().to_vec(),
+                expected: "[H, W, K * K]".to_owned(),
+            });
+        }
+        BpNetError::check_kernel_size(size)?;
+        BpNetError::check_shape("blur intensity", &intensity.dims(), &[height, width])?;
+        BpNetError::check_dtype("blur kernel", kernel.dtype())?;
+        BpNetError::check_same_dtype("blur intensity", intensity.dtype(), kernel.dtype())?;
+        Ok(Self::from_values(Tensor::cat(
+            vec![kernel, intensity.unsqueeze_dim::<3>(2)],
+            2,
+        )))
+    }
+
+    /// A field from kernel and intensity of every pixel, `[H, W, K * K + 1]`.
+    pub(crate) fn from_values(values: Tensor<3>) -> Self {
+        Self { values }
+    }
+
+    /// Blur kernel of each pixel, `[H, W, K * K]`; as BP-Net predicts it not negative, with a sum of 1.
+    /// Entry `ky * K + kx` weighs the pixel at `(y + ky - K/2, x + kx - K/2)`.
+    #[must_use]
+    pub fn kernel(&self) -> Tensor<3> {
+        let [_, _, values] = self.values.dims();
+        self.values.clone().narrow(2, 0, values - 1)
+    }
+
+    /// Blur intensity m of each pixel, `[H, W]`, from 0 (sharp) to 1.
+    #[must_use]
+    pub fn intensity(&self) -> Tensor<2> {
+        let [_, _, values] = self.values.dims();
+        self.values.clone().narrow(2, values - 1, 1).squeeze_dim(2)
     }
 }
 
-/// What the camera saw: `m * blur(image) + (1 - m) * image`, `[H, W, 3]`.
+/// What the camera saw, and sums over the kernels that losses want. All of them lead back to the image
+/// and to the field.
+#[derive(Clone, Debug)]
+pub struct Composite {
+    /// `[H, W, 7]`.
+    values: Tensor<3>,
+}
+
+impl Composite {
+    /// `m * blur(image) + (1 - m) * image`, `[H, W, 3]`.
+    #[must_use]
+    pub fn picture(&self) -> Tensor<3> {
+        self.values.clone().narrow(2, 0, 3)
+    }
+
+    /// Where the blur moves each pixel's light on average: `m Σ k Δ`, `[H, W, 2]`, in pixels, x before y.
+    #[must_use]
+    pub fn centroid(&self) -> Tensor<3> {
+        self.values.clone().narrow(2, 3, 2)
+    }
+
+    /// Weight of the pixel itself in its kernel, `[H, W]`.
+    #[must_use]
+    pub fn center_weight(&self) -> Tensor<2> {
+        self.values.clone().narrow(2, 5, 1).squeeze_dim(2)
+    }
+
+    /// Blur intensity m of each pixel, `[H, W]`.
+    #[must_use]
+    pub fn intensity(&self) -> Tensor<2> {
+        self.values.clone().narrow(2, 6, 1).squeeze_dim(2)
+    }
+}
+
+/// Blurs an image [H, W, 3] as a field says.
 ///
 /// # Errors
-/// [`BpNetError`] when image `[H, W, 3]` and field differ in size, as of [`blur`].
-pub fn composite(image: Tensor<3>, field: &BlurField) -> Result<Tensor<3>, BpNetError> {
-    let [height, width, _] = field.size();
-    BpNetError::check_shape("blur intensity", &field.intensity.dims(), &[height, width])?;
-    BpNetError::check_finite("blur intensity", &field.intensity, 1)?;
-    let blurred = blur(image.clone(), field.kernel.clone())?;
-    let intensity = field.intensity.clone().unsqueeze_dim::<3>(2);
-    Ok(image.clone() + (blurred - image) * intensity)
+/// [`BpNetError`] when image and field differ in size or element type, or hold a value that is not finite.
+pub fn composite(image: Tensor<3>, field: &BlurField) -> Result<Composite, BpNetError> {
+    let [height, width, entries] = field.values.dims();
+    BpNetError::check_shape("image", &image.dims(), &[height, width, 3])?;
+    BpNetError::check_dtype("image", image.dtype())?;
+    BpNetError::check_same_dtype("blur kernel", field.values.dtype(), image.dtype())?;
+    let values = Tensor::from_dispatch(<Dispatch as BpNetOps>::composite(
+        image.clone().into_dispatch(),
+        field.values.clone().into_dispatch(),
+    ));
+    // What is not finite in the inputs is not finite here, and this is smaller.
+    if BpNetError::check_finite("picture", &values, 7).is_err() {
+        BpNetError::check_finite("image", &image, 3)?;
+        BpNetError::check_finite("blur kernel", &field.kernel(), entries - 1)?;
+        BpNetError::check_finite("blur intensity", &field.intensity(), 1)?;
+    }
+    Ok(Composite { values })
 }
 
-/// L_spa, the kernel sparsity loss: mean of `|sigmoid(5 (1 - m)) - k_centre|` over the pixels, m
-/// held constant. It pulls the kernel of a pixel that is not blurred to a delta.
+/// L_spa, the kernel sparsity loss: mean of `|sigmoid(5 (1 - m)) - k_centre|` over the pixels, for centre
+/// weights and intensities [H, W], m held constant. It pulls the kernel of a pixel that is not blurred to a delta.
 #[must_use]
-pub fn kernel_center_loss(field: &BlurField) -> Tensor<1> {
-    let [_, _, entries] = field.size();
-    let center = field
-        .kernel
-        .clone()
-        .narrow(2, entries / 2, 1)
-        .squeeze_dim::<2>(2);
-    let intensity = constant(field.intensity.clone());
-    let target = sigmoid((intensity - 1.0) * -5.0);
-    (target - center).abs().mean_dim(1).mean()
+pub fn kernel_center_loss(center_weight: Tensor<2>, intensity: Tensor<2>) -> Tensor<1> {
+    let target = sigmoid((constant(intensity) - 1.0) * -5.0);
+    (target - center_weight).abs().mean_dim(1).mean()
 }
 
-/// Where the blur moves each pixel's light on average: `m Σ k Δ`, `[H, W, 2]`, in pixels, x before y.
-#[must_use]
-pub fn centroid(field: &BlurField) -> Tensor<3> {
-    let [height, width, entries] = field.size();
-    let size = (entries as f64).sqrt().round() as usize;
-    let half = (size / 2) as f64;
-    let offsets: Vec<f64> = (0..entries)
-        .flat_map(|j| [(j % size) as f64 - half, (j / size) as f64 - half])
-        .collect();
-    let offsets = Tensor::<2>::from_data(
-        TensorData::new(offsets, [entries, 2]),
-        (&field.kernel.device(), field.kernel.dtype()),
-    );
-    let mean = field
-        .kernel
-        .clone()
-        .reshape([height * width, entries])
-        .matmul(offsets);
-    mean.reshape([height, width, 2]) * field.intensity.clone().unsqueeze_dim::<3>(2)
-}
-
-/// Means of a centroid map `[H, W, 2]` over the cells of a grid, `[rows * cols, 2]`, row by row.
+/// Means of a map `[H, W, C]` over the cells of a grid, `[rows * cols, C]`, row by row.
 ///
 /// Cell i of n covers the pixels from `floor(i L / n)` to `ceil((i + 1) L / n)`, so that it is never
 /// empty, whatever the size (adaptive average pooling).
 #[must_use]
-pub fn cell_means(centroid: Tensor<3>, rows: usize, cols: usize) -> Tensor<2> {
-    let [height, width, _] = centroid.dims();
-    let (device, dtype) = (centroid.device(), centroid.dtype());
+pub fn cell_means(map: Tensor<3>, rows: usize, cols: usize) -> Tensor<2> {
+    let [height, width, channels] = map.dims();
+    let (device, dtype) = (map.device(), map.dtype());
     let by_row = cell_weights(height, rows, &device, dtype)
-        .matmul(centroid.reshape([height, width * 2])) // [rows, W * 2]
-        .reshape([rows, width, 2])
+        .matmul(map.reshape([height, width * channels])) // [rows, W * C]
+        .reshape([rows, width, channels])
         .swap_dims(0, 1)
-        .reshape([width, rows * 2]);
+        .reshape([width, rows * channels]);
     cell_weights(width, cols, &device, dtype)
-        .matmul(by_row) // [cols, rows * 2]
-        .reshape([cols, rows, 2])
+        .matmul(by_row) // [cols, rows * C]
+        .reshape([cols, rows, channels])
         .swap_dims(0, 1)
-        .reshape([rows * cols, 2])
+        .reshape([rows * cols, channels])
 }
 
 /// The matrix `[cells, length]` that averages an axis over its cells.

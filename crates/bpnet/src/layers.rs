@@ -4,7 +4,9 @@ use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 use crate::cpu::conv::ConvSize;
-use crate::ops::BpNetOps;
+use crate::cpu::predict::PredictSize;
+use crate::cpu::upsample::UpsampleSize;
+use crate::ops::{BpNetOps, Predictor};
 
 /// Weight `[k * k * in, out]` with rows in the order (ky, kx, in), and bias `[1, out]`.
 #[derive(Clone, Debug)]
@@ -53,9 +55,23 @@ pub(crate) fn instance_norm(input: Tensor<2>) -> Tensor<2> {
     Tensor::from_dispatch(<Dispatch as BpNetOps>::instance_norm(input.into_dispatch()))
 }
 
-/// Softmax of every row.
-pub(crate) fn softmax_rows(logits: Tensor<2>) -> Tensor<2> {
-    Tensor::from_dispatch(<Dispatch as BpNetOps>::softmax_rows(logits.into_dispatch()))
+/// Blur kernel and intensity of every pixel, `[H, W, K * K + 1]`.
+pub(crate) fn predict(predictor: Predictor<Dispatch>, size: PredictSize) -> Tensor<3> {
+    Tensor::from_dispatch(<Dispatch as BpNetOps>::predict(predictor, size))
+}
+
+/// Bilinear enlargement of `[h, w, C]` to `[H, W, C]`.
+pub(crate) fn upsample(input: Tensor<3>, to: [usize; 2]) -> Tensor<3> {
+    let [height, width, channels] = input.dims();
+    let size = UpsampleSize {
+        from: [height, width],
+        to,
+        channels,
+    };
+    Tensor::from_dispatch(<Dispatch as BpNetOps>::upsample(
+        input.into_dispatch(),
+        size,
+    ))
 }
 
 /// Logistic function. (Burn's own goes through f32 on some backends, whatever the element type.)

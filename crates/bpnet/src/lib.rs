@@ -8,7 +8,7 @@
 //! use burn::tensor::{DType, Device, Tensor};
 //!
 //! let device = Device::flex();
-//! let config = BpNetConfig { kernel_size: 5, num_frames: 2, shortcut: true, head: HeadInit::Mild, seed: 0 };
+//! let config = BpNetConfig { kernel_size: 5, num_frames: 2, shortcut: true, downscale: 1, head: HeadInit::Mild, seed: 0 };
 //! let net = BpNet::new(&config, &device, DType::F32)?;
 //! let sharp = Tensor::<3>::ones([6, 8, 3], &device);
 //! let inputs = BlurInputs {
@@ -17,7 +17,7 @@
 //!     mask: Tensor::zeros([6, 8], &device),
 //! };
 //! let field = net.forward(1, &inputs, Extractor::Trained)?;
-//! let blurry = composite(sharp, &field)?;
+//! let blurry = composite(sharp, &field)?.picture();
 //! assert_eq!(blurry.dims(), [6, 8, 3]);
 //! # Ok::<(), bpnet::BpNetError>(())
 //! ```
@@ -43,10 +43,11 @@ mod net;
 mod ops;
 
 pub use blur::{MAX_KERNEL_SIZE, blur};
-pub use encoding::{ENCODING_CHANNELS, positional_encoding};
+pub use encoding::ENCODING_CHANNELS;
 pub use error::BpNetError;
 pub use extractor::FEATURE_CHANNELS;
-pub use field::{BlurField, cell_means, centroid, composite, kernel_center_loss};
+pub use field::{BlurField, Composite, cell_means, composite, kernel_center_loss};
 pub use net::{
     BlurInputs, BpNet, BpNetConfig, EMBEDDING_CHANNELS, Extractor, HIDDEN_CHANNELS, HeadInit,
+    MAX_DOWNSCALE,
 };

@@ -1,15 +1,21 @@
 use burn::tensor::{DType, Device, Tensor};
 
-use crate::encoding::{ENCODING_CHANNELS, positional_encoding};
+use crate::BpNetError;
+use crate::cpu::predict::{self, PredictSize};
+use crate::encoding::ENCODING_CHANNELS;
 use crate::extractor::{FEATURE_CHANNELS, INPUT_CHANNELS, features};
+use crate::field::{BlurField, cell_means};
 use crate::init::Initializer;
-use crate::layers::{Layer, constant, conv, sigmoid, softmax_rows};
-use crate::{BlurField, BpNetError};
+use crate::layers::{Layer, constant, predict, upsample};
+use crate::ops::Predictor;
 
 /// Channels of the camera embedding, one row per training frame.
 pub const EMBEDDING_CHANNELS: usize = 32;
 /// Channels of BP-Net's hidden layers.
-pub const HIDDEN_CHANNELS: usize = 64;
+pub const HIDDEN_CHANNELS: usize = predict::HIDDEN;
+
+/// Features and kernels are computed on a picture at most so many times smaller.
+pub const MAX_DOWNSCALE: usize = 4;
 
 /// What a blur model is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +26,10 @@ pub struct BpNetConfig {
     pub num_frames: usize,
     /// Whether the scene features are joined to the outputs of the first two layers as well.
     pub shortcut: bool,
+    /// Features, kernels and intensities are computed on a picture so many times smaller on each side
+    /// and interpolated between its pixels; 1 to [`MAX_DOWNSCALE`]. Kernels are in pixels of the whole
+    /// picture all the same.
+    pub downscale: usize,
     /// How the two heads start.
     pub head: HeadInit,
     /// Seed of all random starting values.
@@ -70,6 +80,7 @@ pub struct BlurInputs {
 pub struct BpNet {
     kernel_size: usize,
     shortcut: bool,
+    downscale: usize,
     extractor: [Layer; 3],
     embedding: Tensor<2>,
     base: [Layer; 3],
@@ -83,12 +94,18 @@ impl BpNet {
     /// On an autodiff device the parameters require gradients.
     ///
     /// # Errors
-    /// [`BpNetError`] for an even or too large kernel, no frames, or a `dtype` other than f32 and f64.
+    /// [`BpNetError`] for an even or too large kernel, no frames, a scale out of its range, or a `dtype`
+    /// other than f32 and f64.
     pub fn new(config: &BpNetConfig, device: &Device, dtype: DType) -> Result<Self, BpNetError> {
         BpNetError::check_kernel_size(config.kernel_size)?;
         BpNetError::check_dtype("the blur model's parameters", dtype)?;
         if config.num_frames == 0 {
             return Err(BpNetError::NoFrames);
+        }
+        if !(1..=MAX_DOWNSCALE).contains(&config.downscale) {
+            return Err(BpNetError::Downscale {
+                downscale: config.downscale,
+            });
         }
         let init = Initializer {
             seed: config.seed,
@@ -111,6 +128,7 @@ impl BpNet {
         Ok(Self {
             kernel_size: config.kernel_size,
             shortcut: config.shortcut,
+            downscale: config.downscale,
             extractor: [
                 init.layer(0, INPUT_CHANNELS * 25, HIDDEN_CHANNELS, 1.0),
                 init.layer(2, HIDDEN_CHANNELS * 25, HIDDEN_CHANNELS, 1.0),
@@ -210,19 +228,22 @@ impl BpNet {
         inputs: &BlurInputs,
         extractor: Extractor,
     ) -> Result<BlurField, BpNetError> {
-        let [height, width] = self.check_inputs(frame, inputs)?;
-        let pixels = height * width;
-        let entries = self.kernel_size * self.kernel_size;
-        let (device, dtype) = (self.embedding.device(), self.embedding.dtype());
-
+        let whole = self.check_inputs(frame, inputs)?;
+        let [height, width] = whole.map(|side| side.div_ceil(self.downscale));
+        let column = |map: &Tensor<2>| constant(map.clone()).unsqueeze_dim::<3>(2);
         let scene = Tensor::cat(
             vec![
-                constant(inputs.color.clone()).reshape([pixels, 3]),
-                constant(inputs.disparity.clone()).reshape([pixels, 1]),
-                constant(inputs.mask.clone()).reshape([pixels, 1]),
+                constant(inputs.color.clone()),
+                column(&inputs.disparity),
+                column(&inputs.mask),
             ],
-            1,
-        );
+            2,
+        ); // [H, W, 5]
+        let scene = if self.downscale == 1 {
+            scene.reshape([height * width, INPUT_CHANNELS])
+        } else {
+            cell_means(scene, height, width)
+        };
         let features = match extractor {
             Extractor::Trained => features(scene, [height, width], &self.extractor),
             Extractor::Frozen => {
@@ -232,29 +253,38 @@ impl BpNet {
         };
 
         // The embedding is the same at every pixel: its product is one row, added like a bias.
-        let [first, second, third] = &self.base;
+        let [first, second, third] = self.base.clone();
         let embedding = self.embedding.clone().narrow(0, frame, 1);
         let of_embedding = first.weight.clone().narrow(0, 0, EMBEDDING_CHANNELS);
         let varying = ENCODING_CHANNELS + FEATURE_CHANNELS;
-        let first = Layer {
-            weight: first.weight.clone().narrow(0, EMBEDDING_CHANNELS, varying),
-            bias: embedding.matmul(of_embedding) + first.bias.clone(),
+        let predictor = Predictor {
+            features: features.into_dispatch(),
+            weight0: first
+                .weight
+                .narrow(0, EMBEDDING_CHANNELS, varying)
+                .into_dispatch(),
+            bias0: (embedding.matmul(of_embedding) + first.bias).into_dispatch(),
+            weight1: second.weight.into_dispatch(),
+            bias1: second.bias.into_dispatch(),
+            weight2: third.weight.into_dispatch(),
+            bias2: third.bias.into_dispatch(),
+            kernel_weight: self.kernel_head.weight.clone().into_dispatch(),
+            kernel_bias: self.kernel_head.bias.clone().into_dispatch(),
+            intensity_weight: self.intensity_head.weight.clone().into_dispatch(),
+            intensity_bias: self.intensity_head.bias.clone().into_dispatch(),
         };
-        let encoding = positional_encoding([height, width], &device, dtype);
-        let joined = Tensor::cat(vec![encoding, features.clone()], 1);
-        let mut hidden = conv(joined, &first, [height, width], 1, true);
-        for layer in [second, third] {
-            if self.shortcut {
-                hidden = Tensor::cat(vec![hidden, features.clone()], 1);
-            }
-            hidden = conv(hidden, layer, [height, width], 1, true);
-        }
-        let logits = conv(hidden.clone(), &self.kernel_head, [height, width], 1, false);
-        let intensity = conv(hidden, &self.intensity_head, [height, width], 1, false);
-        Ok(BlurField {
-            kernel: softmax_rows(logits).reshape([height, width, entries]),
-            intensity: sigmoid(intensity).reshape([height, width]),
-        })
+        let size = PredictSize {
+            height,
+            width,
+            entries: self.kernel_size * self.kernel_size,
+            shortcut: self.shortcut,
+        };
+        let field = predict(predictor, size);
+        Ok(BlurField::from_values(if self.downscale == 1 {
+            field
+        } else {
+            upsample(field, whole)
+        }))
     }
 
     fn check_inputs(&self, frame: usize, inputs: &BlurInputs) -> Result<[usize; 2], BpNetError> {

@@ -7,7 +7,7 @@ use crate::objective::blur_inputs;
 use crate::placement::dilate;
 use crate::trainer::Trainer;
 use crate::views::{camera_of, pose_tensor};
-use bpnet::{Extractor, centroid, composite};
+use bpnet::{Extractor, composite};
 use glam::DAffine3;
 use io::{Image, Map, Truth};
 use serde::{Deserialize, Serialize};
@@ -188,26 +188,26 @@ impl Trainer {
             Extractor::Frozen,
         )?;
         let blurred = composite(rendered.color(), &field)?;
-        let shifts = host(centroid(&field));
+        let shifts = host(blurred.centroid());
         let mut mean = [0.0; 2];
         for shift in shifts.chunks_exact(2) {
             mean[0] += f64::from(shift[0]);
             mean[1] += f64::from(shift[1]);
         }
-        let [height, width] = field.intensity.dims();
+        let (width, height) = (camera.width, camera.height);
         Ok(BlurredView {
             sharp,
             blurred: Image {
                 width,
                 height,
-                pixels: host(blurred),
+                pixels: host(blurred.picture()),
             },
             intensity: Some(Map {
                 width,
                 height,
-                values: host(field.intensity.clone()),
+                values: host(field.intensity()),
             }),
-            kernels: Some(host(field.kernel)),
+            kernels: Some(host(field.kernel())),
             centroid: mean.map(|m| m / (width * height) as f64),
         })
     }

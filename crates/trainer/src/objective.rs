@@ -6,16 +6,17 @@ use crate::model::{Model, constant};
 use crate::trainer::Trainer;
 use crate::views::{ViewRef, camera_of};
 use bpnet::{
-    BlurField, BlurInputs, BpNet, Extractor, cell_means, centroid, composite, kernel_center_loss,
+    BlurField, BlurInputs, BpNet, Composite, Extractor, cell_means, composite, kernel_center_loss,
 };
 use burn::tensor::Tensor;
 use splat_core::{RenderOptions, Rendered, render};
+use tracing::trace_span;
 
 /// What a model shows of a view.
 pub(crate) struct Shown {
     pub(crate) rendered: Rendered,
-    /// Kernels and intensities, where blur is modelled.
-    field: Option<BlurField>,
+    /// What the blur made of it, where blur is modelled.
+    blur: Option<Composite>,
     /// What the model says the camera saw, [H, W, 3].
     pub(crate) blurred: Tensor<3>,
 }
@@ -86,29 +87,32 @@ impl Trainer {
         blur_sees: Option<&Rendered>,
         screen_grad: Option<Tensor<1>>,
     ) -> Result<Shown, TrainError> {
-        let posed = model.pose(view.time);
+        let posed = trace_span!("pose").in_scope(|| model.pose(view.time));
         let camera = camera_of(&self.scene, view.frame, self.near());
         let options = RenderOptions {
             sh_degree: self.schedule.sh_degree_at(it),
         };
         let pose = view.pose(&model.means);
-        let rendered = render(
-            posed.splats,
-            pose,
-            &camera,
-            &options,
-            posed.dynamic,
-            screen_grad,
-        )?;
-        let field = self.blur_field(model, it, view, blur_sees.unwrap_or(&rendered))?;
+        let rendered = trace_span!("render").in_scope(|| {
+            render(
+                posed.splats,
+                pose,
+                &camera,
+                &options,
+                posed.dynamic,
+                screen_grad,
+            )
+        })?;
+        let field = trace_span!("blur field")
+            .in_scope(|| self.blur_field(model, it, view, blur_sees.unwrap_or(&rendered)))?;
         let sharp = rendered.color();
-        let blurred = match &field {
-            Some(field) => composite(sharp, field)?,
-            None => sharp,
-        };
+        let blur = field
+            .map(|field| composite(sharp.clone(), &field))
+            .transpose()?;
+        let blurred = blur.as_ref().map_or(sharp, Composite::picture);
         Ok(Shown {
             rendered,
-            field,
+            blur,
             blurred,
         })
     }
@@ -187,7 +191,7 @@ impl Trainer {
                 losses::mask_loss(dynamic.squeeze_dim(2), mask, view.valid, band)
             });
         }
-        let (Some(field), Some(fixed)) = (&shown.field, &fixed.field) else {
+        let (Some(blur), Some(fixed)) = (&shown.blur, &fixed.blur) else {
             return;
         };
         if self.schedule.has_downsample(it) && !view.is_unseen() {
@@ -200,20 +204,17 @@ impl Trainer {
         }
         if self.schedule.has_kernel_center(it) {
             objective.add("kernel_center", weights.kernel_center, || {
-                kernel_center_loss(&BlurField {
-                    kernel: field.kernel.clone(),
-                    intensity: fixed.intensity.clone(),
-                })
+                kernel_center_loss(blur.center_weight(), fixed.intensity())
             });
             objective.add("intensity", weights.intensity, || {
-                losses::intensity_penalty(field.intensity.clone())
+                losses::intensity_penalty(blur.intensity())
             });
         }
         if view.is_unseen() || weights.gauge == 0.0 {
             return;
         }
         let [rows, columns] = self.settings.blur.gauge_cells;
-        let shifts = cell_means(centroid(field), rows, columns);
+        let shifts = cell_means(blur.centroid(), rows, columns);
         objective.add("gauge", weights.gauge, || {
             self.gauge.penalty(view.frame, shifts.clone())
         });

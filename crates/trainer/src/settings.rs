@@ -161,6 +161,8 @@ pub struct BlurSettings {
     pub train_extractor: bool,
     /// Skip connections of the scene features (paper, "shortcut").
     pub shortcut: bool,
+    /// Features, kernels and intensities are computed on a picture so many times smaller, 1 to 4.
+    pub downscale: usize,
     /// Whether the head starts at a mild blur; else as a framework initialises it.
     pub mild_start: bool,
     /// Rows and columns of the cells whose mean kernel shift the gauge holds at zero.
@@ -176,6 +178,7 @@ impl Default for BlurSettings {
             hold: 200,
             train_extractor: true,
             shortcut: true,
+            downscale: 1,
             mild_start: true,
             gauge_cells: [4, 8],
         }
@@ -387,6 +390,11 @@ impl Settings {
         )?;
         let k = self.blur.kernel_size;
         check(k % 2 == 1 && k <= 15, "blur.kernel_size", "odd, 1 to 15")?;
+        check(
+            (1..=bpnet::MAX_DOWNSCALE).contains(&self.blur.downscale),
+            "blur.downscale",
+            "1 to 4",
+        )?;
         check(
             self.blur.gauge_cells.iter().all(|n| (1..=64).contains(n)),
             "blur.gauge_cells",

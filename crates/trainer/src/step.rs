@@ -16,6 +16,7 @@ use crate::real::leaf;
 use crate::trainer::Trainer;
 use crate::views::ViewRef;
 use burn::tensor::{Gradients, Tensor};
+use tracing::trace_span;
 
 /// Opacities are reset to at most this.
 const RESET_OPACITY: f64 = 0.01;
@@ -47,6 +48,7 @@ impl Trainer {
     /// All iterations are done; a loss term or a gradient is not finite; the renderer refuses its input.
     /// After an error the trainer holds the state of the last whole iteration.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        let _span = trace_span!("step").entered();
         if self.is_done() {
             return Err(TrainError::Finished {
                 iterations: self.settings.iterations,
@@ -66,9 +68,9 @@ impl Trainer {
             .then(|| Tensor::<1>::zeros([self.model.num_gaussians()], &self.device).require_grad());
         let shown = self.show(&self.model, it, &view, None, screen_grad.clone())?;
         let target = shown.target(&view);
-        let psnr = current_psnr(&shown.blurred, &target);
-        let Objective { terms, shifts } =
-            self.objective(&self.model, it, &view, &shown, &shown, target);
+        let psnr = trace_span!("psnr").in_scope(|| current_psnr(&shown.blurred, &target));
+        let Objective { terms, shifts } = trace_span!("losses")
+            .in_scope(|| self.objective(&self.model, it, &view, &shown, &shown, target));
 
         let (names, values): (Vec<_>, Vec<_>) = terms.into_iter().unzip();
         let stacked = Tensor::cat(values, 0);
@@ -79,7 +81,7 @@ impl Trainer {
         if values.iter().any(|v| !v.is_finite()) {
             return Err(self.find_fault(it, &view)?);
         }
-        let mut grads = stacked.sum().backward();
+        let mut grads = trace_span!("backward").in_scope(|| stacked.sum().backward());
 
         let norms = screen_grad.and_then(|screen| screen.grad_remove(&mut grads));
         // All are checked before one is stepped: after an error the state is whole.
@@ -113,6 +115,7 @@ impl Trainer {
     }
 
     fn step_parameters(&mut self, it: usize, gradients: Vec<Option<Tensor<2>>>) {
+        let _span = trace_span!("adam").entered();
         let rates = Rates {
             rates: &self.settings.learning_rates,
             schedule: &self.schedule,
@@ -168,6 +171,7 @@ impl Trainer {
 
     /// Dynamic densification, density control and opacity reset, each at its moment.
     fn change_gaussians(&mut self, it: usize) {
+        let _span = trace_span!("density control").entered();
         if self.schedule.densify_dynamic_at == Some(it) {
             self.densify_dynamic();
         }
@@ -279,6 +283,7 @@ fn take_gradients(
     model: &Model,
     grads: &mut Gradients,
 ) -> Result<Vec<Option<Tensor<2>>>, (String, NonFiniteGradient)> {
+    let _span = trace_span!("check gradients").entered();
     let take = |(name, parameter): (String, Tensor<2>)| {
         let grad = parameter.grad_remove(grads);
         match grad.as_ref().map_or(Ok(()), check_gradient) {

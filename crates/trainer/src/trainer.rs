@@ -264,6 +264,7 @@ pub(crate) fn new_blur(
         kernel_size: settings.blur.kernel_size,
         num_frames,
         shortcut: settings.blur.shortcut,
+        downscale: settings.blur.downscale,
         head: if settings.blur.mild_start {
             HeadInit::Mild
         } else {

@@ -20,11 +20,11 @@ fn blur_case(
         let image = tensor(&inputs[0], [height, width, 3], &device, dtype).require_grad();
         let logits = tensor(&inputs[1], [height, width, k * k], &device, dtype).require_grad();
         let intensity = tensor(&inputs[2], [height, width], &device, dtype).require_grad();
-        let field = BlurField {
-            kernel: softmax(logits.clone(), 2),
-            intensity: intensity.clone(),
-        };
-        let blurred = composite(image.clone(), &field).expect("shapes that fit");
+        let field =
+            BlurField::new(softmax(logits.clone(), 2), intensity.clone()).expect("the shapes fit");
+        let blurred = composite(image.clone(), &field)
+            .expect("shapes that fit")
+            .picture();
         let grads = weigh(blurred.clone()).backward();
         Results {
             forward: vec![("picture", values(blurred))],
@@ -52,6 +52,7 @@ fn net_case(name: &str, scale: f64, color: Vec<f64>, disparity: Vec<f64>, mask: 
         kernel_size: 5,
         num_frames: 2,
         shortcut: true,
+        downscale: 1,
         head: HeadInit::Mild,
         seed: 3,
     };
@@ -80,12 +81,12 @@ fn net_case(name: &str, scale: f64, color: Vec<f64>, disparity: Vec<f64>, mask: 
         let field = net
             .forward(1, &inputs, Extractor::Trained)
             .expect("shapes that fit");
-        let loss = weigh(field.kernel.clone()) + weigh(field.intensity.clone());
+        let loss = weigh(field.kernel()) + weigh(field.intensity());
         let grads = loss.backward();
         Results {
             forward: vec![
-                ("kernel", values(field.kernel)),
-                ("intensity", values(field.intensity)),
+                ("kernel", values(field.kernel())),
+                ("intensity", values(field.intensity())),
             ],
             backward: net
                 .parameters()

@@ -9,28 +9,9 @@ use burn::backend::autodiff::{
 use burn::backend::{Autodiff, tensor::FloatTensor};
 
 use crate::cpu::conv::ConvSize;
-use crate::ops::{BpNetBackwardOps, BpNetOps};
-
-#[derive(Debug)]
-struct Blur;
-
-impl<B: BpNetBackwardOps> Backward<B, 2> for Blur {
-    type State = [FloatTensor<B>; 2];
-
-    fn backward(
-        self,
-        ops: Ops<Self::State, 2>,
-        grads: &mut Gradients,
-        _checkpointer: &mut Checkpointer,
-    ) {
-        let gradient = grads.consume::<B>(&ops.node);
-        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
-        let [image, kernel] = ops.state;
-        let wanted = parents.each_ref().map(Option::is_some);
-        let gradients = B::blur_backward(image, kernel, gradient, wanted);
-        register::<B, 2>(grads, parents, gradients);
-    }
-}
+use crate::cpu::predict::PredictSize;
+use crate::cpu::upsample::UpsampleSize;
+use crate::ops::{BpNetBackwardOps, BpNetOps, PREDICTOR, Predictor};
 
 #[derive(Debug)]
 struct Conv;
@@ -78,10 +59,31 @@ impl<B: BpNetBackwardOps> Backward<B, 1> for InstanceNorm {
 }
 
 #[derive(Debug)]
-struct SoftmaxRows;
+struct Predict;
 
-impl<B: BpNetBackwardOps> Backward<B, 1> for SoftmaxRows {
-    type State = FloatTensor<B>;
+impl<B: BpNetBackwardOps> Backward<B, PREDICTOR> for Predict {
+    type State = (Predictor<B>, FloatTensor<B>, PredictSize);
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, PREDICTOR>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let gradient = grads.consume::<B>(&ops.node);
+        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+        let (predictor, output, size) = ops.state;
+        let wanted = parents.each_ref().map(Option::is_some);
+        let gradients = B::predict_backward(predictor, output, gradient, size, wanted);
+        register::<B, PREDICTOR>(grads, parents, gradients);
+    }
+}
+
+#[derive(Debug)]
+struct Upsample;
+
+impl<B: BpNetBackwardOps> Backward<B, 1> for Upsample {
+    type State = UpsampleSize;
 
     fn backward(
         self,
@@ -89,10 +91,31 @@ impl<B: BpNetBackwardOps> Backward<B, 1> for SoftmaxRows {
         grads: &mut Gradients,
         _checkpointer: &mut Checkpointer,
     ) {
-        let output = ops.state;
+        let size = ops.state;
         unary::<B, _>(ops.parents, ops.node, grads, |gradient| {
-            B::softmax_rows_backward(output, gradient)
+            B::upsample_backward(gradient, size)
         });
+    }
+}
+
+#[derive(Debug)]
+struct Composite;
+
+impl<B: BpNetBackwardOps> Backward<B, 2> for Composite {
+    type State = [FloatTensor<B>; 2];
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, 2>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let gradient = grads.consume::<B>(&ops.node);
+        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+        let [image, field] = ops.state;
+        let wanted = parents.each_ref().map(Option::is_some);
+        let gradients = B::composite_backward(image, field, gradient, wanted);
+        register::<B, 2>(grads, parents, gradients);
     }
 }
 
@@ -110,22 +133,6 @@ fn register<B: BpNetBackwardOps, const N: usize>(
 }
 
 impl<B: BpNetBackwardOps, C: CheckpointStrategy> BpNetOps for Autodiff<B, C> {
-    fn blur(image: FloatTensor<Self>, kernel: FloatTensor<Self>) -> FloatTensor<Self> {
-        let (image, image_node) = image.into_parts();
-        let (kernel, kernel_node) = kernel.into_parts();
-        match Blur
-            .prepare::<C>([image_node, kernel_node])
-            .compute_bound()
-            .stateful()
-        {
-            OpsKind::Tracked(prep) => {
-                let output = B::blur(image.clone(), kernel.clone());
-                prep.finish([image, kernel], output)
-            }
-            OpsKind::UnTracked(prep) => prep.finish(B::blur(image, kernel)),
-        }
-    }
-
     fn conv(
         input: FloatTensor<Self>,
         weight: FloatTensor<Self>,
@@ -161,14 +168,60 @@ impl<B: BpNetBackwardOps, C: CheckpointStrategy> BpNetOps for Autodiff<B, C> {
         }
     }
 
-    fn softmax_rows(logits: FloatTensor<Self>) -> FloatTensor<Self> {
-        let (logits, node) = logits.into_parts();
-        match SoftmaxRows.prepare::<C>([node]).compute_bound().stateful() {
+    fn predict(predictor: Predictor<Self>, size: PredictSize) -> FloatTensor<Self> {
+        let mut nodes = Vec::with_capacity(PREDICTOR);
+        let mut inner = |tensor: FloatTensor<Self>| {
+            let (tensor, node) = tensor.into_parts();
+            nodes.push(node);
+            tensor
+        };
+        // In the order of `Predictor::into_array`.
+        let predictor = Predictor::<B> {
+            features: inner(predictor.features),
+            weight0: inner(predictor.weight0),
+            bias0: inner(predictor.bias0),
+            weight1: inner(predictor.weight1),
+            bias1: inner(predictor.bias1),
+            weight2: inner(predictor.weight2),
+            bias2: inner(predictor.bias2),
+            kernel_weight: inner(predictor.kernel_weight),
+            kernel_bias: inner(predictor.kernel_bias),
+            intensity_weight: inner(predictor.intensity_weight),
+            intensity_bias: inner(predictor.intensity_bias),
+        };
+        let Ok(nodes) = <[_; PREDICTOR]>::try_from(nodes) else {
+            unreachable!("a node for every tensor");
+        };
+        match Predict.prepare::<C>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
-                let output = B::softmax_rows(logits);
-                prep.finish(output.clone(), output)
+                let output = B::predict(predictor.clone(), size);
+                prep.finish((predictor, output.clone(), size), output)
             }
-            OpsKind::UnTracked(prep) => prep.finish(B::softmax_rows(logits)),
+            OpsKind::UnTracked(prep) => prep.finish(B::predict(predictor, size)),
+        }
+    }
+
+    fn upsample(input: FloatTensor<Self>, size: UpsampleSize) -> FloatTensor<Self> {
+        let (input, node) = input.into_parts();
+        match Upsample.prepare::<C>([node]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(size, B::upsample(input, size)),
+            OpsKind::UnTracked(prep) => prep.finish(B::upsample(input, size)),
+        }
+    }
+
+    fn composite(image: FloatTensor<Self>, field: FloatTensor<Self>) -> FloatTensor<Self> {
+        let (image, image_node) = image.into_parts();
+        let (field, field_node) = field.into_parts();
+        match Composite
+            .prepare::<C>([image_node, field_node])
+            .compute_bound()
+            .stateful()
+        {
+            OpsKind::Tracked(prep) => {
+                let output = B::composite(image.clone(), field.clone());
+                prep.finish([image, field], output)
+            }
+            OpsKind::UnTracked(prep) => prep.finish(B::composite(image, field)),
         }
     }
 }

@@ -6,11 +6,14 @@ use burn::backend::{Backend, TensorMetadata as _, tensor::FloatTensor};
 use burn::tensor::{DType, Element, Shape, TensorData};
 
 use crate::cpu::Real;
-use crate::cpu::blur::{self, BlurSize};
+use crate::cpu::composite::{self, BlurSize};
 use crate::cpu::conv::{ConvSize, conv};
 use crate::cpu::conv_backward::conv_backward;
-use crate::cpu::rows;
-use crate::ops::{BpNetBackwardOps, BpNetOps};
+use crate::cpu::instance_norm;
+use crate::cpu::predict::{self, Dense, PredictSize};
+use crate::cpu::upsample::{self, UpsampleSize};
+use crate::encoding::axis_encoding;
+use crate::ops::{BpNetBackwardOps, BpNetOps, PREDICTOR, Predictor};
 
 /// How to get at the elements of a backend's tensors.
 trait HostBackend: Backend {
@@ -55,10 +58,6 @@ macro_rules! with_float {
 macro_rules! host_ops {
     ($backend:ty) => {
         impl BpNetOps for $backend {
-            fn blur(image: FloatTensor<Self>, kernel: FloatTensor<Self>) -> FloatTensor<Self> {
-                with_float!(image, blur_on(image, kernel))
-            }
-
             fn conv(
                 input: FloatTensor<Self>,
                 weight: FloatTensor<Self>,
@@ -73,21 +72,21 @@ macro_rules! host_ops {
                 with_float!(input, instance_norm_on(input)).0
             }
 
-            fn softmax_rows(logits: FloatTensor<Self>) -> FloatTensor<Self> {
-                with_float!(logits, softmax_rows_on(logits))
+            fn predict(predictor: Predictor<Self>, size: PredictSize) -> FloatTensor<Self> {
+                let features = &predictor.features;
+                with_float!(features, predict_on(predictor, size))
+            }
+
+            fn upsample(input: FloatTensor<Self>, size: UpsampleSize) -> FloatTensor<Self> {
+                with_float!(input, upsample_on(input, size))
+            }
+
+            fn composite(image: FloatTensor<Self>, field: FloatTensor<Self>) -> FloatTensor<Self> {
+                with_float!(image, composite_on(image, field))
             }
         }
 
         impl BpNetBackwardOps for $backend {
-            fn blur_backward(
-                image: FloatTensor<Self>,
-                kernel: FloatTensor<Self>,
-                gradient: FloatTensor<Self>,
-                wanted: [bool; 2],
-            ) -> [Option<FloatTensor<Self>>; 2] {
-                with_float!(image, blur_backward_on(image, kernel, gradient, wanted))
-            }
-
             fn conv_backward(
                 input: FloatTensor<Self>,
                 weight: FloatTensor<Self>,
@@ -116,11 +115,33 @@ macro_rules! host_ops {
                 with_float!(output, instance_norm_backward_on(output, scale, gradient))
             }
 
-            fn softmax_rows_backward(
+            fn predict_backward(
+                predictor: Predictor<Self>,
                 output: FloatTensor<Self>,
                 gradient: FloatTensor<Self>,
+                size: PredictSize,
+                wanted: [bool; PREDICTOR],
+            ) -> [Option<FloatTensor<Self>>; PREDICTOR] {
+                with_float!(
+                    output,
+                    predict_backward_on(predictor, output, gradient, size, wanted)
+                )
+            }
+
+            fn upsample_backward(
+                gradient: FloatTensor<Self>,
+                size: UpsampleSize,
             ) -> FloatTensor<Self> {
-                with_float!(output, softmax_rows_backward_on(output, gradient))
+                with_float!(gradient, upsample_backward_on(gradient, size))
+            }
+
+            fn composite_backward(
+                image: FloatTensor<Self>,
+                field: FloatTensor<Self>,
+                gradient: FloatTensor<Self>,
+                wanted: [bool; 2],
+            ) -> [Option<FloatTensor<Self>>; 2] {
+                with_float!(image, composite_backward_on(image, field, gradient, wanted))
             }
         }
     };
@@ -139,47 +160,130 @@ fn tensor<T: Element, B: Backend>(
     B::float_from_data(TensorData::new(values, shape), &like.device())
 }
 
-/// Sizes of a kernel tensor `[H, W, K * K]`.
-fn blur_size<B: Backend>(kernel: &FloatTensor<B>) -> BlurSize {
-    let shape = kernel.shape();
+/// Sizes of a field `[H, W, K * K + 1]`.
+fn blur_size<B: Backend>(field: &FloatTensor<B>) -> BlurSize {
+    let shape = field.shape();
     BlurSize {
         height: shape[0],
         width: shape[1],
-        kernel: shape[2].isqrt(),
+        kernel: (shape[2] - 1).isqrt(),
     }
 }
 
-fn blur_on<T: Real + Element, B: HostBackend>(
+fn composite_on<T: Real + Element, B: HostBackend>(
     mut image: FloatTensor<B>,
-    mut kernel: FloatTensor<B>,
+    mut field: FloatTensor<B>,
 ) -> FloatTensor<B> {
-    let size = blur_size::<B>(&kernel);
-    let output = blur::blur(
+    let size = blur_size::<B>(&field);
+    let output = composite::composite(
         &B::elements::<T>(&mut image),
-        &B::elements::<T>(&mut kernel),
+        &B::elements::<T>(&mut field),
         size,
     );
-    tensor::<T, B>(output, image.shape(), &image)
+    let shape = Shape::from([size.height, size.width, composite::CHANNELS]);
+    tensor::<T, B>(output, shape, &image)
 }
 
-fn blur_backward_on<T: Real + Element, B: HostBackend>(
+fn composite_backward_on<T: Real + Element, B: HostBackend>(
     mut image: FloatTensor<B>,
-    mut kernel: FloatTensor<B>,
+    mut field: FloatTensor<B>,
     mut gradient: FloatTensor<B>,
     wanted: [bool; 2],
 ) -> [Option<FloatTensor<B>>; 2] {
-    let size = blur_size::<B>(&kernel);
-    let [image_gradient, kernel_gradient] = blur::blur_backward(
+    let size = blur_size::<B>(&field);
+    let [image_gradient, field_gradient] = composite::composite_backward(
         &B::elements::<T>(&mut image),
-        &B::elements::<T>(&mut kernel),
+        &B::elements::<T>(&mut field),
         &B::elements::<T>(&mut gradient),
         size,
         wanted,
     );
     [
         image_gradient.map(|values| tensor::<T, B>(values, image.shape(), &image)),
-        kernel_gradient.map(|values| tensor::<T, B>(values, kernel.shape(), &image)),
+        field_gradient.map(|values| tensor::<T, B>(values, field.shape(), &image)),
     ]
+}
+
+/// Calls `run` with a predictor on slices.
+fn with_predictor<T: Real + Element, B: HostBackend, R>(
+    tensors: &mut [FloatTensor<B>; PREDICTOR],
+    size: PredictSize,
+    run: impl FnOnce(&predict::Predictor<'_, T>) -> R,
+) -> R {
+    let encoding = |length: usize| -> Vec<T> {
+        let axis = axis_encoding(length);
+        let values = axis.as_flattened().iter();
+        values.map(|&v| T::from_f64(f64::from(v))).collect()
+    };
+    let elements: [Cow<'_, [T]>; PREDICTOR] = tensors.each_mut().map(B::elements::<T>);
+    let dense = |layer: usize| Dense {
+        weight: &*elements[1 + 2 * layer],
+        bias: &*elements[2 + 2 * layer],
+    };
+    run(&predict::Predictor {
+        size,
+        columns: &encoding(size.width),
+        rows: &encoding(size.height),
+        features: &elements[0],
+        base: [dense(0), dense(1), dense(2)],
+        kernel: dense(3),
+        intensity: dense(4),
+    })
+}
+
+fn predict_on<T: Real + Element, B: HostBackend>(
+    predictor: Predictor<B>,
+    size: PredictSize,
+) -> FloatTensor<B> {
+    let mut tensors = predictor.into_array();
+    let output = with_predictor::<T, B, _>(&mut tensors, size, predict::predict);
+    let shape = Shape::from([size.height, size.width, size.outputs()]);
+    tensor::<T, B>(output, shape, &tensors[0])
+}
+
+fn predict_backward_on<T: Real + Element, B: HostBackend>(
+    predictor: Predictor<B>,
+    mut output: FloatTensor<B>,
+    mut gradient: FloatTensor<B>,
+    size: PredictSize,
+    wanted: [bool; PREDICTOR],
+) -> [Option<FloatTensor<B>>; PREDICTOR] {
+    let mut tensors = predictor.into_array();
+    let gradients = with_predictor::<T, B, _>(&mut tensors, size, |net| {
+        predict::predict_backward(
+            net,
+            &B::elements::<T>(&mut output),
+            &B::elements::<T>(&mut gradient),
+            wanted[0],
+        )
+    });
+    let layers = gradients.layers.into_iter().flat_map(|(w, b)| [w, b]);
+    let mut values = std::iter::once(gradients.features.unwrap_or_default()).chain(layers);
+    let mut index = 0;
+    tensors.map(|like| {
+        let values = values.next().expect("a gradient for every tensor");
+        let is_wanted = wanted[index];
+        index += 1;
+        is_wanted.then(|| tensor::<T, B>(values, like.shape(), &like))
+    })
+}
+
+fn upsample_on<T: Real + Element, B: HostBackend>(
+    mut input: FloatTensor<B>,
+    size: UpsampleSize,
+) -> FloatTensor<B> {
+    let output = upsample::upsample(&B::elements::<T>(&mut input), size);
+    let shape = Shape::from([size.to[0], size.to[1], size.channels]);
+    tensor::<T, B>(output, shape, &input)
+}
+
+fn upsample_backward_on<T: Real + Element, B: HostBackend>(
+    mut gradient: FloatTensor<B>,
+    size: UpsampleSize,
+) -> FloatTensor<B> {
+    let input_gradient = upsample::upsample_backward(&B::elements::<T>(&mut gradient), size);
+    let shape = Shape::from([size.from[0], size.from[1], size.channels]);
+    tensor::<T, B>(input_gradient, shape, &gradient)
 }
 
 fn conv_on<T: Real + Element, B: HostBackend>(
@@ -232,7 +336,7 @@ fn instance_norm_on<T: Real + Element, B: HostBackend>(
     mut input: FloatTensor<B>,
 ) -> (FloatTensor<B>, FloatTensor<B>) {
     let channels = input.shape()[1];
-    let (output, scale) = rows::instance_norm(&B::elements::<T>(&mut input), channels);
+    let (output, scale) = instance_norm::instance_norm(&B::elements::<T>(&mut input), channels);
     (
         tensor::<T, B>(output, input.shape(), &input),
         tensor::<T, B>(scale, Shape::from([1, channels]), &input),
@@ -244,31 +348,10 @@ fn instance_norm_backward_on<T: Real + Element, B: HostBackend>(
     mut scale: FloatTensor<B>,
     mut gradient: FloatTensor<B>,
 ) -> FloatTensor<B> {
-    let input_gradient = rows::instance_norm_backward(
+    let input_gradient = instance_norm::instance_norm_backward(
         &B::elements::<T>(&mut output),
         &B::elements::<T>(&mut scale),
         &B::elements::<T>(&mut gradient),
-    );
-    tensor::<T, B>(input_gradient, output.shape(), &output)
-}
-
-fn softmax_rows_on<T: Real + Element, B: HostBackend>(
-    mut logits: FloatTensor<B>,
-) -> FloatTensor<B> {
-    let channels = logits.shape()[1];
-    let output = rows::softmax(&B::elements::<T>(&mut logits), channels);
-    tensor::<T, B>(output, logits.shape(), &logits)
-}
-
-fn softmax_rows_backward_on<T: Real + Element, B: HostBackend>(
-    mut output: FloatTensor<B>,
-    mut gradient: FloatTensor<B>,
-) -> FloatTensor<B> {
-    let channels = output.shape()[1];
-    let input_gradient = rows::softmax_backward(
-        &B::elements::<T>(&mut output),
-        &B::elements::<T>(&mut gradient),
-        channels,
     );
     tensor::<T, B>(input_gradient, output.shape(), &output)
 }

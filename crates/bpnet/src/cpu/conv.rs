@@ -1,17 +1,15 @@
-//! Convolution with a bias and, if wanted, ReLU. A 1x1 convolution is a dense layer.
+//! Convolution with a bias and, if wanted, ReLU.
 //!
 //! Pictures are `[H, W, C]`, weights `[k * k * in, out]` with rows in the order (ky, kx, in), borders
 //! are zeros. A window's row is then k * in values in a row of memory, and the product needs no copy
-//! of the windows: a tile of pixels x two vectors of output channels stays in registers while the
-//! window's values are broadcast one by one.
+//! of the windows: see [`Product`](super::product::Product).
 
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
+use tracing::trace_span;
 
 use super::Real;
-
-/// Pixels of a row without borders (dense layers), which one task works on.
-const DENSE_ROW: usize = 252;
+use super::product::{Packed, Product};
 
 /// Sizes of a convolution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,44 +25,14 @@ pub(crate) struct ConvSize {
 }
 
 impl ConvSize {
-    /// A dense layer sees pixels in a row; their neighbourhood does not matter.
-    pub(super) fn rows(self) -> Rows {
-        let half = self.kernel / 2;
-        if half == 0 {
-            let pixels = self.height * self.width;
-            Rows {
-                count: pixels.div_ceil(DENSE_ROW),
-                len: DENSE_ROW,
-                stride: DENSE_ROW,
-                pixels,
-            }
-        } else {
-            Rows {
-                count: self.height,
-                len: self.width,
-                stride: self.width + 2 * half,
-                pixels: self.height * self.width,
-            }
-        }
-    }
-
+    /// Values of a window's row.
     pub(super) fn window_row(self) -> usize {
         self.kernel * self.inputs
     }
-}
 
-/// Rows of pixels: `len` of them (the last row may have fewer), `stride` apart with their borders.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Rows {
-    pub(super) count: usize,
-    pub(super) len: usize,
-    pub(super) stride: usize,
-    pub(super) pixels: usize,
-}
-
-impl Rows {
-    pub(super) fn len_of(self, row: usize) -> usize {
-        self.len.min(self.pixels - row * self.len)
+    /// Width of the picture with its borders.
+    pub(super) fn padded_width(self) -> usize {
+        self.width + self.kernel - 1
     }
 }
 
@@ -76,6 +44,7 @@ pub(crate) fn conv<T: Real>(
     size: ConvSize,
     relu: bool,
 ) -> Vec<T> {
+    let _span = trace_span!("conv").entered();
     let padded = padded(input, size.inputs, size);
     pulp::Arch::new().dispatch(Forward {
         input: &padded,
@@ -97,7 +66,7 @@ pub(super) fn padded<T: Real>(
         return picture.into();
     }
     let row = size.width * channels;
-    let stride = (size.width + 2 * half) * channels;
+    let stride = size.padded_width() * channels;
     let mut values = vec![T::ZERO; (size.height + 2 * half) * stride];
     values[half * stride..]
         .par_chunks_mut(stride)
@@ -124,130 +93,30 @@ impl<T: Real, W: Fn(usize, usize) -> T> WithSimd for Forward<'_, T, W> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Vec<T> {
-        let Self {
-            input,
-            weight,
-            bias,
-            size,
-            relu,
-        } = self;
-        let rows = size.rows();
-        let mut output = vec![T::ZERO; rows.pixels * size.outputs];
+        let size = self.size;
+        let mut output = vec![T::ZERO; size.height * size.width * size.outputs];
         if output.is_empty() {
             return output;
         }
-        // Blocks of two vectors of outputs, each with all rows of the weight; zeros fill the last.
-        let block = 2 * T::lanes::<S>();
-        let blocks = size.outputs.div_ceil(block);
         let taps = size.kernel * size.window_row();
-        let mut packed = vec![T::ZERO; blocks * taps * block];
-        let mut packed_bias = vec![T::ZERO; blocks * block];
-        for (i, target) in packed.chunks_exact_mut(block).enumerate() {
-            let (first, row) = (i / taps * block, i % taps);
-            for (lane, value) in target.iter_mut().enumerate().take(size.outputs - first) {
-                *value = weight(row, first + lane);
-            }
-        }
-        if let Some(bias) = bias {
-            packed_bias[..bias.len()].copy_from_slice(bias);
-        }
+        let packed = Packed::new::<S>([taps, size.outputs], self.weight, self.bias);
+        let stride = size.padded_width() * size.inputs;
         output
-            .par_chunks_mut(rows.len * size.outputs)
+            .par_chunks_mut(size.width * size.outputs)
             .enumerate()
             .for_each(|(row, output)| {
-                let task = ForwardRow {
-                    input: &input[row * rows.stride * size.inputs..],
-                    packed: &packed,
-                    bias: &packed_bias,
-                    size,
-                    stride: rows.stride,
-                    relu,
+                simd.vectorize(Product {
+                    input: &self.input[row * stride..],
+                    window_row: size.window_row(),
+                    row_stride: stride,
+                    step: size.inputs,
+                    weights: &packed,
+                    relu: self.relu,
                     output,
-                };
-                simd.vectorize(task);
+                    output_step: size.outputs,
+                });
             });
         output
-    }
-}
-
-struct ForwardRow<'a, T> {
-    /// From the window row of the first pixel on.
-    input: &'a [T],
-    packed: &'a [T],
-    bias: &'a [T],
-    size: ConvSize,
-    stride: usize,
-    relu: bool,
-    output: &'a mut [T],
-}
-
-impl<T: Real> WithSimd for ForwardRow<'_, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        // 24 sums fit where there are 32 registers, 12 where there are 16.
-        if T::lanes::<S>() * size_of::<T>() >= 64 {
-            self.tiles::<S, 12>(simd);
-        } else {
-            self.tiles::<S, 6>(simd);
-        }
-    }
-}
-
-impl<T: Real> ForwardRow<'_, T> {
-    #[inline(always)]
-    fn tiles<S: Simd, const P: usize>(self, simd: S) {
-        let Self {
-            input,
-            packed,
-            bias,
-            size,
-            stride,
-            relu,
-            output,
-        } = self;
-        let block = 2 * T::lanes::<S>();
-        let len = size.window_row();
-        let taps = size.kernel * len;
-        let last = output.len() / size.outputs - 1;
-        let (packed, _) = T::as_vectors::<S>(packed);
-        let (packed, _) = packed.as_chunks::<2>();
-        let (bias, _) = T::as_vectors::<S>(bias);
-        let (bias, _) = bias.as_chunks::<2>();
-        for first in (0..=last).step_by(P) {
-            for (index, (weights, &bias)) in packed.chunks_exact(taps).zip(bias).enumerate() {
-                let mut sums = [bias; P];
-                for (ky, weights) in weights.chunks_exact(len).enumerate() {
-                    let windows: [&[T]; P] = std::array::from_fn(|p| {
-                        let x = (first + p).min(last);
-                        &input[(ky * stride + x) * size.inputs..][..len]
-                    });
-                    for j in 0..len {
-                        let [w0, w1] = weights[j];
-                        for p in 0..P {
-                            let value = T::splat(simd, windows[p][j]);
-                            sums[p][0] = T::mul_add(simd, value, w0, sums[p][0]);
-                            sums[p][1] = T::mul_add(simd, value, w1, sums[p][1]);
-                        }
-                    }
-                }
-                let channels = block.min(size.outputs - index * block);
-                for (p, sum) in sums.iter().enumerate().take(last + 1 - first) {
-                    let values: &[T] = bytemuck::cast_slice(sum);
-                    let start = (first + p) * size.outputs + index * block;
-                    let target = &mut output[start..start + channels];
-                    for (target, &value) in target.iter_mut().zip(values) {
-                        // Not a number stays one.
-                        *target = if relu && value < T::ZERO {
-                            T::ZERO
-                        } else {
-                            value
-                        };
-                    }
-                }
-            }
-        }
     }
 }
 

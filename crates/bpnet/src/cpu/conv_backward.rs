@@ -1,14 +1,15 @@
 //! The backward of [`conv`](super::conv::conv).
 //!
 //! The gradient of the input is the same product as the forward pass, with the window mirrored. That of
-//! the weights keeps a tile of them in registers, 12 values of a window x two vectors of output
-//! channels, and walks over the pixels.
+//! the weights is a sum of outer products over the pixels.
 
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
+use tracing::trace_span;
 
 use super::Real;
-use super::conv::{ConvSize, Forward, Rows, padded};
+use super::conv::{ConvSize, Forward, padded};
+use super::product::{OuterProducts, padded_columns};
 
 /// Pieces of an image that the gradient of the weights is summed over.
 const BANDS: usize = 16;
@@ -33,6 +34,7 @@ pub(crate) fn conv_backward<T: Real>(
     [input_wanted, weight_wanted]: [bool; 2],
 ) -> ConvGradients<T> {
     let masked: Option<Vec<T>> = output.map(|output| {
+        let _span = trace_span!("relu backward").entered();
         let mut masked = vec![T::ZERO; gradient.len()];
         let rows = MASK_ROWS * size.outputs;
         masked
@@ -47,6 +49,7 @@ pub(crate) fn conv_backward<T: Real>(
     });
     let gradient = masked.as_deref().unwrap_or(gradient);
     let input_gradient = input_wanted.then(|| {
+        let _span = trace_span!("conv input gradient").entered();
         let mirrored = ConvSize {
             inputs: size.outputs,
             outputs: size.inputs,
@@ -65,6 +68,7 @@ pub(crate) fn conv_backward<T: Real>(
         })
     });
     let weight_and_bias = weight_wanted.then(|| {
+        let _span = trace_span!("conv weight gradient").entered();
         pulp::Arch::new().dispatch(WeightGradient {
             input: &padded(input, size.inputs, size),
             gradient,
@@ -90,78 +94,80 @@ impl<T: Real> WithSimd for WeightGradient<'_, T> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> (Vec<T>, Vec<T>) {
-        let Self {
-            input,
-            gradient,
-            size,
-        } = self;
-        let rows = size.rows();
+        let size = self.size;
         let taps = size.kernel * size.window_row();
-        let block = 2 * T::lanes::<S>();
-        let columns = size.outputs.next_multiple_of(block);
-        let per_band = rows.count.div_ceil(BANDS).max(1);
-        let parts: Vec<Vec<T>> = (0..rows.count.div_ceil(per_band))
+        let columns = padded_columns::<T, S>(size.outputs);
+        let per_band = size.height.div_ceil(BANDS).max(1);
+        let parts: Vec<Vec<T>> = (0..size.height.div_ceil(per_band))
             .into_par_iter()
             .map(|band| {
                 let mut part = vec![T::ZERO; (taps + 1) * columns];
                 simd.vectorize(WeightGradientBand {
-                    input,
-                    gradient,
-                    size,
-                    rows,
-                    range: band * per_band..((band + 1) * per_band).min(rows.count),
+                    whole: &self,
+                    rows: band * per_band..((band + 1) * per_band).min(size.height),
+                    columns,
                     part: &mut part,
                 });
                 part
             })
             .collect();
-        let mut sum = vec![T::ZERO; (taps + 1) * size.outputs];
-        sum.par_chunks_mut(size.outputs)
-            .enumerate()
-            .for_each(|(row, sum)| {
-                for part in &parts {
-                    for (sum, &value) in sum.iter_mut().zip(&part[row * columns..]) {
-                        *sum += value;
-                    }
-                }
-            });
+        let mut sum = sum_parts(&parts, taps + 1, columns, size.outputs);
         let bias = sum.split_off(taps * size.outputs);
         (sum, bias)
     }
 }
 
-struct WeightGradientBand<'a, T> {
-    input: &'a [T],
-    gradient: &'a [T],
-    size: ConvSize,
-    rows: Rows,
-    range: std::ops::Range<usize>,
+/// Sum of matrices `[rows, columns]` in their order, without the columns from `outputs` on.
+pub(super) fn sum_parts<T: Real>(
+    parts: &[Vec<T>],
+    rows: usize,
+    columns: usize,
+    outputs: usize,
+) -> Vec<T> {
+    let mut sum = vec![T::ZERO; rows * outputs];
+    sum.par_chunks_mut(outputs)
+        .enumerate()
+        .for_each(|(row, sum)| {
+            for part in parts {
+                for (sum, &value) in sum.iter_mut().zip(&part[row * columns..]) {
+                    *sum += value;
+                }
+            }
+        });
+    sum
+}
+
+struct WeightGradientBand<'a, 'b, T> {
+    whole: &'a WeightGradient<'b, T>,
+    rows: std::ops::Range<usize>,
+    columns: usize,
     /// `[taps + 1, columns]`, the last row for the bias.
     part: &'a mut [T],
 }
 
-impl<T: Real> WithSimd for WeightGradientBand<'_, T> {
+impl<T: Real> WithSimd for WeightGradientBand<'_, '_, T> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self {
+            whole,
+            rows,
+            columns,
+            part,
+        } = self;
+        let WeightGradient {
             input,
             gradient,
             size,
-            rows,
-            range,
-            part,
-        } = self;
-        let block = 2 * T::lanes::<S>();
-        let columns = size.outputs.next_multiple_of(block);
+        } = *whole;
         let len = size.window_row();
         let taps = size.kernel * len;
         let mut tile = vec![T::ZERO; PIXELS * columns];
-        for row in range {
-            for first in (0..rows.len_of(row)).step_by(PIXELS) {
-                let pixels = PIXELS.min(rows.len_of(row) - first);
-                let start = (row * rows.len + first) * size.outputs;
+        for row in rows {
+            for first in (0..size.width).step_by(PIXELS) {
+                let pixels = PIXELS.min(size.width - first);
+                let start = (row * size.width + first) * size.outputs;
                 let source = &gradient[start..start + pixels * size.outputs];
                 for (target, source) in tile
                     .chunks_exact_mut(columns)
@@ -172,88 +178,17 @@ impl<T: Real> WithSimd for WeightGradientBand<'_, T> {
                         *sum += value;
                     }
                 }
-                let tile = &tile[..pixels * columns];
                 for ky in 0..size.kernel {
-                    let window = &input[((row + ky) * rows.stride + first) * size.inputs..];
-                    let part = &mut part[ky * len * columns..][..len * columns];
-                    for column in (0..columns).step_by(block) {
-                        let mut j = 0;
-                        while j + 12 <= len {
-                            accumulate::<T, S, 12>(
-                                simd,
-                                &window[j..],
-                                size.inputs,
-                                tile,
-                                columns,
-                                column,
-                                &mut part[j * columns..],
-                            );
-                            j += 12;
-                        }
-                        while j + 4 <= len {
-                            accumulate::<T, S, 4>(
-                                simd,
-                                &window[j..],
-                                size.inputs,
-                                tile,
-                                columns,
-                                column,
-                                &mut part[j * columns..],
-                            );
-                            j += 4;
-                        }
-                        while j < len {
-                            accumulate::<T, S, 1>(
-                                simd,
-                                &window[j..],
-                                size.inputs,
-                                tile,
-                                columns,
-                                column,
-                                &mut part[j * columns..],
-                            );
-                            j += 1;
-                        }
-                    }
+                    simd.vectorize(OuterProducts {
+                        values: &input[((row + ky) * size.padded_width() + first) * size.inputs..],
+                        len,
+                        step: size.inputs,
+                        gradient: &tile[..pixels * columns],
+                        columns,
+                        sum: &mut part[ky * len * columns..][..len * columns],
+                    });
                 }
             }
-        }
-    }
-}
-
-/// Adds the outer products of J window values and two vectors of gradient, over the pixels of a tile.
-#[inline(always)]
-fn accumulate<T: Real, S: Simd, const J: usize>(
-    simd: S,
-    window: &[T],
-    inputs: usize,
-    tile: &[T],
-    columns: usize,
-    column: usize,
-    part: &mut [T],
-) {
-    let lanes = T::lanes::<S>();
-    let mut sums = [[T::splat(simd, T::ZERO); 2]; J];
-    let pixels = tile.len() / columns;
-    // Checked once here, so that the loop has no way out that would force the sums into memory.
-    let window = &window[..(pixels - 1) * inputs + J];
-    for pixel in 0..pixels {
-        let gradient = &tile[pixel * columns + column..][..2 * lanes];
-        let (gradient, _) = T::as_vectors::<S>(gradient);
-        let (g0, g1) = (gradient[0], gradient[1]);
-        let values = &window[pixel * inputs..][..J];
-        for j in 0..J {
-            let value = T::splat(simd, values[j]);
-            sums[j][0] = T::mul_add(simd, value, g0, sums[j][0]);
-            sums[j][1] = T::mul_add(simd, value, g1, sums[j][1]);
-        }
-    }
-    // Copied out one by one, so that no index that varies forces the sums into memory.
-    let stored: [[T::Vector<S>; 2]; J] = std::array::from_fn(|j| sums[j]);
-    for (j, sum) in stored.iter().enumerate() {
-        let values: &[T] = bytemuck::cast_slice(sum);
-        for (target, &value) in part[j * columns + column..].iter_mut().zip(values) {
-            *target += value;
         }
     }
 }

@@ -103,6 +103,7 @@ pub fn project<T: Real>(
     splats: &SplatSlices<'_, T>,
     view: &View<T>,
 ) -> Result<Projection<T>, SplatError> {
+    let _span = tracing::trace_span!("project").entered();
     view.check()?;
     splats.check(view.sh_degree)?;
     let count = splats.len();

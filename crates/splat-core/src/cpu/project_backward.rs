@@ -72,6 +72,7 @@ pub(super) fn project_backward<T: Real>(
     options: BackwardOptions,
     drop_overflow: bool,
 ) -> Gradients<T> {
+    let _span = tracing::trace_span!("project backward").entered();
     let n = projection.count;
     let sh_width = 3 * splats.sh_coefficients();
     let zeros = |len: usize| vec![T::ZERO; len];

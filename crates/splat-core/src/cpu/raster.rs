@@ -40,6 +40,7 @@ pub fn rasterize<T: Real>(
     features: &[T],
     num_features: usize,
 ) -> Result<Raster<T>, SplatError> {
+    let _span = tracing::trace_span!("rasterize").entered();
     if features.len() != projection.count * num_features {
         return Err(SplatError::Shape {
             tensor: "features",

@@ -20,6 +20,7 @@ pub(super) fn partial_gradients<T: Real>(
     state: &RasterState<T>,
     v_output: &[T],
 ) -> Vec<T> {
+    let _span = tracing::trace_span!("rasterize backward").entered();
     let tiles = &projection.tiles;
     let width = GEOMETRIC + 4 + state.num_features;
     let mut partial = vec![T::ZERO; tiles.slots.len() * width];

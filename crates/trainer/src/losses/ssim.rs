@@ -35,6 +35,7 @@ pub fn ssim(a: Tensor<3>, b: &Tensor<3>) -> Tensor<1> {
         "two pictures of one size"
     );
     assert_eq!(channels, CHANNELS, "pictures have three channels");
+    let _span = tracing::trace_span!("ssim").entered();
     let count = (height * width * channels) as f64;
     with_real!(a.dtype(), T => {
         let (a_values, b_values) = (values::<T, 3>(a.clone()), values::<T, 3>(b.clone()));

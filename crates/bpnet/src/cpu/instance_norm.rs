@@ -1,6 +1,7 @@
-//! Instance norm over the columns and softmax over the rows of a matrix `[pixels, C]`.
+//! Instance norm over the columns of a matrix `[pixels, C]`.
 
 use rayon::prelude::*;
+use tracing::trace_span;
 
 use super::Real;
 
@@ -13,6 +14,7 @@ const EPSILON: f64 = 1e-5;
 /// Each channel with zero mean and unit (biased) variance: `y = (x - mean) / sqrt(variance + 1e-5)`.
 /// Returns y and the reciprocals of the roots.
 pub(crate) fn instance_norm<T: Real>(input: &[T], channels: usize) -> (Vec<T>, Vec<T>) {
+    let _span = trace_span!("instance norm").entered();
     let count = T::from_f64((input.len() / channels) as f64);
     let mut mean: Vec<T> = column_sums(input.len(), channels, channels, |range, sums| {
         for row in input[range].chunks_exact(channels) {
@@ -52,6 +54,7 @@ pub(crate) fn instance_norm<T: Real>(input: &[T], channels: usize) -> (Vec<T>, V
 
 /// Gradient of the input: `dx = scale (g - mean(g) - y mean(g y))`.
 pub(crate) fn instance_norm_backward<T: Real>(output: &[T], scale: &[T], gradient: &[T]) -> Vec<T> {
+    let _span = trace_span!("instance norm backward").entered();
     let channels = scale.len();
     let count = T::from_f64((output.len() / channels) as f64);
     let mut means: Vec<T> = column_sums(output.len(), channels, 2 * channels, |range, sums| {
@@ -80,50 +83,6 @@ pub(crate) fn instance_norm_backward<T: Real>(output: &[T], scale: &[T], gradien
         ) {
             for c in 0..channels {
                 target[c] = scale[c] * (g[c] - plain[c] - y[c] * weighted[c]);
-            }
-        }
-    });
-    input_gradient
-}
-
-/// Softmax of every row.
-pub(crate) fn softmax<T: Real>(logits: &[T], channels: usize) -> Vec<T> {
-    let mut output = vec![T::ZERO; logits.len()];
-    for_rows(&mut output, channels, |start, rows| {
-        let logits = &logits[start..start + rows.len()];
-        for (target, logits) in rows
-            .chunks_exact_mut(channels)
-            .zip(logits.chunks_exact(channels))
-        {
-            let mut largest = logits[0];
-            for &x in logits {
-                largest = if x > largest { x } else { largest };
-            }
-            for (target, &x) in target.iter_mut().zip(logits) {
-                *target = (x - largest).exp_not_positive();
-            }
-            let factor = T::ONE / target.iter().fold(T::ZERO, |sum, &e| sum + e);
-            for target in target {
-                *target = *target * factor;
-            }
-        }
-    });
-    output
-}
-
-/// Gradient of the logits of a softmax y over rows: `dx = y (g - Σ g y)`.
-pub(crate) fn softmax_backward<T: Real>(output: &[T], gradient: &[T], channels: usize) -> Vec<T> {
-    let mut input_gradient = vec![T::ZERO; output.len()];
-    for_rows(&mut input_gradient, channels, |start, rows| {
-        let end = start + rows.len();
-        for (target, (y, g)) in rows.chunks_exact_mut(channels).zip(
-            output[start..end]
-                .chunks_exact(channels)
-                .zip(gradient[start..end].chunks_exact(channels)),
-        ) {
-            let level = dot(y, g);
-            for (target, (&y, &g)) in target.iter_mut().zip(y.iter().zip(g)) {
-                *target = y * (g - level);
             }
         }
     });
@@ -175,24 +134,6 @@ fn column_sums<T: Real>(
     total
 }
 
-/// Inner product with 16 running sums, which are the lanes of a vector.
-#[inline(always)]
-fn dot<T: Real>(a: &[T], b: &[T]) -> T {
-    let (a_chunks, a_rest) = a.as_chunks::<16>();
-    let (b_chunks, b_rest) = b.as_chunks::<16>();
-    let mut sums = [T::ZERO; 16];
-    for (a, b) in a_chunks.iter().zip(b_chunks) {
-        for lane in 0..16 {
-            sums[lane] += a[lane] * b[lane];
-        }
-    }
-    let rest = a_rest
-        .iter()
-        .zip(b_rest)
-        .fold(T::ZERO, |sum, (&a, &b)| sum + a * b);
-    sums.into_iter().fold(rest, |a, b| a + b)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -230,28 +171,5 @@ mod tests {
     fn a_constant_channel_becomes_zero() {
         let (output, _) = instance_norm(&[3.0_f32; 40], 2);
         assert_eq!(output, [0.0; 40]);
-    }
-
-    #[test]
-    fn softmax_sums_to_one_at_any_logits() {
-        for channels in [1, 9, 81, 225] {
-            let logits: Vec<f64> = values(700 * channels, 2)
-                .iter()
-                .map(|v| v * 500.0)
-                .collect();
-            let narrow: Vec<f32> = logits.iter().map(|&v| v as f32).collect();
-            let (wide, narrow) = (softmax(&logits, channels), softmax(&narrow, channels));
-            for (i, row) in wide.chunks_exact(channels).enumerate() {
-                let x = &logits[i * channels..][..channels];
-                let largest = x.iter().fold(f64::MIN, |m, &v| m.max(v));
-                let total: f64 = x.iter().map(|v| (v - largest).exp()).sum();
-                for (&y, x) in row.iter().zip(x) {
-                    assert!((y - (x - largest).exp() / total).abs() < 1e-14);
-                }
-                let row = &narrow[i * channels..][..channels];
-                let total: f64 = row.iter().map(|&y| f64::from(y)).sum();
-                assert!((total - 1.0).abs() < 1e-6, "row {i} sums to {total}");
-            }
-        }
     }
 }

@@ -1,6 +1,9 @@
-//! The per-pixel blur and its backward.
+//! What the camera saw, from a sharp image and the blur of every pixel, and the backward of that.
 //!
-//! Forward: with s = Σ_j k_j over the j inside the image, `B_c = Σ_j k_j I_c(x + Δ_j) / s`.
+//! With s = Σ_j k_j over the j inside the image, `B_c = Σ_j k_j I_c(x + Δ_j) / s` is the blurred image,
+//! and the picture is `C = m B + (1 - m) I`. Two sums over a kernel that losses want come in the same
+//! pass: the centroid `m Σ_j k_j Δ_j` and the weight of the centre.
+//!
 //! Backward, for the gradient g of B: `dk_j = Σ_c g_c / s (I_c(x + Δ_j) - B_c)` for j inside, else 0,
 //! and `dI_c(x + Δ_j) += g_c / s k_j`.
 //!
@@ -8,8 +11,12 @@
 //! in a row of memory. A fourth plane holds 1 inside the image, and so s is one more channel.
 
 use rayon::prelude::*;
+use tracing::trace_span;
 
 use super::Real;
+
+/// Channels of the output: picture 3, centroid 2 (x before y), centre weight, intensity.
+pub(crate) const CHANNELS: usize = 7;
 
 /// Rows of the piece of an image that one task works on.
 const BAND: usize = 8;
@@ -28,6 +35,11 @@ pub(crate) struct BlurSize {
 impl BlurSize {
     fn padded_width(self) -> usize {
         self.width + self.kernel - 1
+    }
+
+    /// Values of a pixel of the field: its kernel and its intensity.
+    fn entries(self) -> usize {
+        self.kernel * self.kernel + 1
     }
 }
 
@@ -49,25 +61,27 @@ macro_rules! with_kernel_size {
     };
 }
 
-/// Blurs `image` `[H, W, 3]` with `kernel` `[H, W, K * K]`.
-pub(crate) fn blur<T: Real>(image: &[T], kernel: &[T], size: BlurSize) -> Vec<T> {
-    let mut output = vec![T::ZERO; image.len()];
+/// Picture, centroid, centre weight and intensity, `[H, W, 7]`, of `image` `[H, W, 3]` and `field`
+/// `[H, W, K² + 1]`: every pixel's kernel and intensity.
+pub(crate) fn composite<T: Real>(image: &[T], field: &[T], size: BlurSize) -> Vec<T> {
+    let _span = trace_span!("composite").entered();
+    let mut output = vec![T::ZERO; size.height * size.width * CHANNELS];
     if output.is_empty() {
         return output;
     }
     let planes = Planes::new(image, size);
     let arch = pulp::Arch::new();
     output
-        .par_chunks_mut(BAND * size.width * 3)
-        .zip(kernel.par_chunks(BAND * size.width * size.kernel * size.kernel))
+        .par_chunks_mut(BAND * size.width * CHANNELS)
+        .zip(field.par_chunks(BAND * size.width * size.entries()))
         .enumerate()
-        .for_each(|(band, (output, kernel))| {
+        .for_each(|(band, (output, field))| {
             arch.dispatch(
                 #[inline(always)]
                 || {
                     with_kernel_size!(
                         size,
-                        blur_band::<T, _>(&planes, kernel, band * BAND, output)
+                        band_forward::<T, _>(&planes, field, band * BAND, output)
                     );
                 },
             );
@@ -75,35 +89,37 @@ pub(crate) fn blur<T: Real>(image: &[T], kernel: &[T], size: BlurSize) -> Vec<T>
     output
 }
 
-/// Gradients of image and kernel, each only where it is wanted.
-pub(crate) fn blur_backward<T: Real>(
+/// Gradients of image and field, each only where it is wanted.
+pub(crate) fn composite_backward<T: Real>(
     image: &[T],
-    kernel: &[T],
+    field: &[T],
     gradient: &[T],
     size: BlurSize,
     wanted: [bool; 2],
 ) -> [Option<Vec<T>>; 2] {
-    let [image_wanted, kernel_wanted] = wanted;
-    let mut kernel_gradient = vec![T::ZERO; if kernel_wanted { kernel.len() } else { 0 }];
+    let _span = trace_span!("composite backward").entered();
+    let [image_wanted, field_wanted] = wanted;
+    let mut field_gradient = vec![T::ZERO; if field_wanted { field.len() } else { 0 }];
     if image.is_empty() {
         return [
             image_wanted.then(Vec::new),
-            kernel_wanted.then_some(kernel_gradient),
+            field_wanted.then_some(field_gradient),
         ];
     }
     let planes = Planes::new(image, size);
     let arch = pulp::Arch::new();
-    let entries = BAND * size.width * size.kernel * size.kernel;
     let bands = size.height.div_ceil(BAND);
-    let mut kernel_gradients: Vec<&mut [T]> = if kernel_wanted {
-        kernel_gradient.chunks_mut(entries).collect()
+    let mut field_gradients: Vec<&mut [T]> = if field_wanted {
+        field_gradient
+            .chunks_mut(BAND * size.width * size.entries())
+            .collect()
     } else {
         (0..bands).map(|_| Default::default()).collect()
     };
-    let image_gradients: Vec<Vec<T>> = kernel_gradients
+    let image_gradients: Vec<Vec<T>> = field_gradients
         .par_iter_mut()
         .enumerate()
-        .map(|(band, kernel_gradient)| {
+        .map(|(band, field_gradient)| {
             let rows = BAND.min(size.height - band * BAND);
             let mut image_gradient = if image_wanted {
                 vec![T::ZERO; 3 * (rows + size.kernel - 1) * size.padded_width()]
@@ -111,20 +127,19 @@ pub(crate) fn blur_backward<T: Real>(
                 Vec::new()
             };
             let pixels = band * BAND * size.width..(band * BAND + rows) * size.width;
-            let square = size.kernel * size.kernel;
-            let kernel = &kernel[pixels.start * square..pixels.end * square];
-            let gradient = &gradient[pixels.start * 3..pixels.end * 3];
+            let field = &field[pixels.start * size.entries()..pixels.end * size.entries()];
+            let gradient = &gradient[pixels.start * CHANNELS..pixels.end * CHANNELS];
             arch.dispatch(
                 #[inline(always)]
                 || {
                     with_kernel_size!(
                         size,
-                        backward_band::<T, _>(
+                        band_backward::<T, _>(
                             &planes,
-                            kernel,
+                            field,
                             gradient,
                             band * BAND,
-                            kernel_gradient,
+                            field_gradient,
                             &mut image_gradient,
                         )
                     );
@@ -135,7 +150,7 @@ pub(crate) fn blur_backward<T: Real>(
         .collect();
     [
         image_wanted.then(|| merge_bands(&image_gradients, size)),
-        kernel_wanted.then_some(kernel_gradient),
+        field_wanted.then_some(field_gradient),
     ]
 }
 
@@ -170,6 +185,12 @@ impl<T: Real> Planes<T> {
         let start = (channel * (self.size.height + K - 1) + y) * stride + x;
         chunk(&self.values[start..])
     }
+
+    /// The colour of a pixel.
+    #[inline(always)]
+    fn pixel<const K: usize>(&self, y: usize, x: usize) -> [T; 3] {
+        [0, 1, 2].map(|c| self.window::<K>(c, y + K / 2, x)[K / 2])
+    }
 }
 
 /// The first K values.
@@ -178,94 +199,158 @@ fn chunk<T, const K: usize>(values: &[T]) -> &[T; K] {
     values.first_chunk().expect("the slice holds K values")
 }
 
-/// A pixel's window means and the sum of its weights inside the image.
-#[inline(always)]
-fn window_mean<T: Real, const K: usize>(
-    planes: &Planes<T>,
-    kernel: &[T],
-    y: usize,
-    x: usize,
-) -> ([T; 3], T) {
-    // One accumulator per column of the window: they are the lanes of a vector.
-    let mut sums = [[T::ZERO; K]; 4];
-    for ky in 0..K {
-        let weights: &[T; K] = chunk(&kernel[ky * K..]);
-        for (channel, sum) in sums.iter_mut().enumerate() {
-            let window = planes.window::<K>(channel, y + ky, x);
+/// Sums over the kernel of a pixel.
+struct Window<T> {
+    /// Σ k I / s over the weights inside the image, or the pixel's own colour.
+    mean: [T; 3],
+    /// s, or 0 where it is too small.
+    inside: T,
+    /// Σ k Δ, x before y.
+    shift: [T; 2],
+}
+
+impl<T: Real> Window<T> {
+    #[inline(always)]
+    fn new<const K: usize>(planes: &Planes<T>, kernel: &[T], y: usize, x: usize) -> Self {
+        // One accumulator per column of the window: they are the lanes of a vector.
+        let mut sums = [[T::ZERO; K]; 4];
+        let mut columns = [T::ZERO; K];
+        let mut vertical = [T::ZERO; K];
+        for ky in 0..K {
+            let weights: &[T; K] = chunk(&kernel[ky * K..]);
+            for (channel, sum) in sums.iter_mut().enumerate() {
+                let window = planes.window::<K>(channel, y + ky, x);
+                for kx in 0..K {
+                    sum[kx] += weights[kx] * window[kx];
+                }
+            }
             for kx in 0..K {
-                sum[kx] += weights[kx] * window[kx];
+                columns[kx] += weights[kx];
+                vertical[kx] += weights[kx] * offset::<T, K>(ky);
             }
         }
+        for (kx, sum) in columns.iter_mut().enumerate() {
+            *sum = *sum * offset::<T, K>(kx);
+        }
+        let fold = |lanes: [T; K]| lanes.into_iter().fold(T::ZERO, |a, b| a + b);
+        let [r, g, b, inside] = sums.map(fold);
+        let shift = [fold(columns), fold(vertical)];
+        if inside < T::from_f64(LEAST_SUM) {
+            return Self {
+                mean: planes.pixel::<K>(y, x),
+                inside: T::ZERO,
+                shift,
+            };
+        }
+        Self {
+            mean: [r / inside, g / inside, b / inside],
+            inside,
+            shift,
+        }
     }
-    let [r, g, b, sum] = sums.map(|lanes| lanes.into_iter().fold(T::ZERO, |a, b| a + b));
-    if sum < T::from_f64(LEAST_SUM) {
-        let pixel = [0, 1, 2].map(|c| planes.window::<K>(c, y + K / 2, x)[K / 2]);
-        return (pixel, T::ZERO);
-    }
-    ([r / sum, g / sum, b / sum], sum)
+}
+
+/// Distance of column or row `k` of a window from its centre, px.
+#[inline(always)]
+fn offset<T: Real, const K: usize>(k: usize) -> T {
+    T::from_f64(k as f64 - (K / 2) as f64)
 }
 
 #[inline(always)]
-fn blur_band<T: Real, const K: usize>(
+fn band_forward<T: Real, const K: usize>(
     planes: &Planes<T>,
-    kernel: &[T],
+    field: &[T],
     first_row: usize,
     output: &mut [T],
 ) {
     let width = planes.size.width;
-    for (i, pixel) in output.chunks_exact_mut(3).enumerate() {
+    for (i, (output, field)) in output
+        .chunks_exact_mut(CHANNELS)
+        .zip(field.chunks_exact(K * K + 1))
+        .enumerate()
+    {
         let (y, x) = (first_row + i / width, i % width);
-        let (mean, _) = window_mean::<T, K>(planes, &kernel[i * K * K..][..K * K], y, x);
-        pixel.copy_from_slice(&mean);
+        let (kernel, m) = (&field[..K * K], field[K * K]);
+        let window = Window::new::<K>(planes, kernel, y, x);
+        let own = planes.pixel::<K>(y, x);
+        for c in 0..3 {
+            // Exact at both ends, and where blurred and sharp agree.
+            output[c] = if m < T::from_f64(0.5) {
+                own[c] + m * (window.mean[c] - own[c])
+            } else {
+                window.mean[c] - (T::ONE - m) * (window.mean[c] - own[c])
+            };
+        }
+        output[3] = m * window.shift[0];
+        output[4] = m * window.shift[1];
+        output[5] = kernel[K * K / 2];
+        output[6] = m;
     }
 }
 
 /// Backward of a band of rows. The gradient of the image goes to planes of the band's own, with
 /// borders, because the windows of neighbouring bands overlap. An empty slice is not wanted.
 #[inline(always)]
-fn backward_band<T: Real, const K: usize>(
+fn band_backward<T: Real, const K: usize>(
     planes: &Planes<T>,
-    kernel: &[T],
+    field: &[T],
     gradient: &[T],
     first_row: usize,
-    kernel_gradient: &mut [T],
+    field_gradient: &mut [T],
     image_gradient: &mut [T],
 ) {
     let width = planes.size.width;
     let stride = planes.size.padded_width();
     let plane = image_gradient.len() / 3;
-    for (i, g) in gradient.chunks_exact(3).enumerate() {
+    for (i, (g, field)) in gradient
+        .chunks_exact(CHANNELS)
+        .zip(field.chunks_exact(K * K + 1))
+        .enumerate()
+    {
         let (row, x) = (i / width, i % width);
         let y = first_row + row;
-        let weights = &kernel[i * K * K..][..K * K];
-        let (mean, sum) = window_mean::<T, K>(planes, weights, y, x);
-        if sum < T::from_f64(LEAST_SUM) {
-            if plane > 0 {
-                for c in 0..3 {
-                    image_gradient[c * plane + (row + K / 2) * stride + x + K / 2] += g[c];
-                }
-            }
-            continue;
-        }
-        let g = [g[0] / sum, g[1] / sum, g[2] / sum];
-        let level = g[0] * mean[0] + g[1] * mean[1] + g[2] * mean[2];
-        if !kernel_gradient.is_empty() {
-            let target = &mut kernel_gradient[i * K * K..][..K * K];
+        let (weights, m) = (&field[..K * K], field[K * K]);
+        let window = Window::new::<K>(planes, weights, y, x);
+        let own = planes.pixel::<K>(y, x);
+        let drawn = window.inside > T::ZERO;
+        let of_mean: [T; 3] = if drawn {
+            std::array::from_fn(|c| m * g[c] / window.inside)
+        } else {
+            [T::ZERO; 3]
+        };
+        if !field_gradient.is_empty() {
+            let target = &mut field_gradient[i * (K * K + 1)..][..K * K + 1];
+            let level = of_mean[0] * window.mean[0]
+                + of_mean[1] * window.mean[1]
+                + of_mean[2] * window.mean[2];
+            let of_shift = [m * g[3], m * g[4]];
             for ky in 0..K {
                 let target: &mut [T; K] = target[ky * K..]
                     .first_chunk_mut()
                     .expect("a kernel has K rows");
                 let [r, green, b, inside] = [0, 1, 2, 3].map(|c| planes.window::<K>(c, y + ky, x));
+                let vertical = of_shift[1] * offset::<T, K>(ky);
                 for kx in 0..K {
-                    let moment = g[0] * r[kx] + g[1] * green[kx] + g[2] * b[kx];
-                    target[kx] = (moment - level) * inside[kx];
+                    let moment = of_mean[0] * r[kx] + of_mean[1] * green[kx] + of_mean[2] * b[kx];
+                    target[kx] = (moment - level) * inside[kx]
+                        + (of_shift[0] * offset::<T, K>(kx) + vertical);
                 }
             }
+            target[K * K / 2] += g[5];
+            let mut of_intensity = g[3] * window.shift[0] + g[4] * window.shift[1] + g[6];
+            for c in 0..3 {
+                of_intensity += g[c] * (window.mean[c] - own[c]);
+            }
+            target[K * K] = of_intensity;
         }
         if plane > 0 {
+            let rest = if drawn { T::ONE - m } else { T::ONE };
+            for c in 0..3 {
+                image_gradient[c * plane + (row + K / 2) * stride + x + K / 2] += rest * g[c];
+            }
             for ky in 0..K {
                 let weights: &[T; K] = chunk(&weights[ky * K..]);
-                for (c, &g) in g.iter().enumerate() {
+                for (c, &g) in of_mean.iter().enumerate() {
                     let target: &mut [T; K] = image_gradient[c * plane + (row + ky) * stride + x..]
                         .first_chunk_mut()
                         .expect("the border is K/2 wide");
@@ -313,20 +398,29 @@ mod tests {
             .collect()
     }
 
-    fn naive(image: &[f64], kernel: &[f64], size: BlurSize) -> Vec<f64> {
-        let half = size.kernel as isize / 2;
+    /// Field of random kernels, not normalised, and intensities.
+    fn field(size: BlurSize) -> Vec<f64> {
+        values(size.height * size.width * size.entries(), 2)
+    }
+
+    fn naive(image: &[f64], field: &[f64], size: BlurSize) -> Vec<f64> {
+        let (half, entries) = (size.kernel as isize / 2, size.kernel * size.kernel);
         let mut output = Vec::new();
         for y in 0..size.height as isize {
             for x in 0..size.width as isize {
                 let pixel = (y * size.width as isize + x) as usize;
-                let (mut sum, mut color) = (0.0, [0.0; 3]);
-                for j in 0..size.kernel * size.kernel {
-                    let sy = y + (j / size.kernel) as isize - half;
-                    let sx = x + (j % size.kernel) as isize - half;
+                let own = &field[pixel * (entries + 1)..][..entries + 1];
+                let m = own[entries];
+                let (mut sum, mut color, mut shift) = (0.0, [0.0; 3], [0.0; 2]);
+                for (j, weight) in own[..entries].iter().enumerate() {
+                    let dy = (j / size.kernel) as isize - half;
+                    let dx = (j % size.kernel) as isize - half;
+                    let (sy, sx) = (y + dy, x + dx);
+                    shift[0] += m * weight * dx as f64;
+                    shift[1] += m * weight * dy as f64;
                     let inside = (0..size.height as isize).contains(&sy)
                         && (0..size.width as isize).contains(&sx);
                     if inside {
-                        let weight = kernel[pixel * size.kernel * size.kernel + j];
                         let source = (sy * size.width as isize + sx) as usize * 3;
                         sum += weight;
                         for c in 0..3 {
@@ -334,7 +428,10 @@ mod tests {
                         }
                     }
                 }
-                output.extend(color.map(|v| v / sum));
+                output
+                    .extend((0..3).map(|c| m * color[c] / sum + (1.0 - m) * image[pixel * 3 + c]));
+                output.extend(shift);
+                output.extend([own[entries / 2], m]);
             }
         }
         output
@@ -350,10 +447,13 @@ mod tests {
                     kernel,
                 };
                 let image = values(height * width * 3, 1);
-                let weights = values(height * width * kernel * kernel, 2);
-                let output = blur(&image, &weights, size);
-                for (a, b) in output.iter().zip(naive(&image, &weights, size)) {
-                    assert!((a - b).abs() < 1e-13, "{size:?}: {a} against {b}");
+                let field = field(size);
+                let output = composite(&image, &field, size);
+                for (i, (a, b)) in output.iter().zip(naive(&image, &field, size)).enumerate() {
+                    assert!(
+                        (a - b).abs() < 1e-12 * (1.0 + b.abs()),
+                        "{size:?} at {i}: {a} against {b}"
+                    );
                 }
             }
         }
@@ -367,12 +467,14 @@ mod tests {
             width: 1,
             kernel: 3,
         };
-        let (image, mut kernel) = ([0.1, 0.2, 0.3], [0.125; 9]);
-        kernel[4] = 0.0;
-        assert_eq!(blur(&image, &kernel, size), image);
-        let [image_gradient, kernel_gradient] =
-            blur_backward(&image, &kernel, &[1.0, 2.0, 3.0], size, [true, true]);
+        let (image, mut field) = ([0.1, 0.2, 0.3], [0.125; 10]);
+        field[4] = 0.0;
+        field[9] = 0.75;
+        assert_eq!(composite(&image, &field, size)[..3], image);
+        let gradient = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0];
+        let [image_gradient, field_gradient] =
+            composite_backward(&image, &field, &gradient, size, [true, true]);
         assert_eq!(image_gradient, Some(vec![1.0, 2.0, 3.0]));
-        assert_eq!(kernel_gradient, Some(vec![0.0; 9]));
+        assert_eq!(field_gradient, Some(vec![0.0; 10]));
     }
 }

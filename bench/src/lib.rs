@@ -1,0 +1,6 @@
+//! What an iteration costs, stage by stage, against the machine's floor, and how that grows.
+//!
+//! `cargo xtask bench` runs it; docs/PERFORMANCE.md holds what it found.
+
+pub mod spans;
+pub mod workload;

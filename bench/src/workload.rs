@@ -1,0 +1,166 @@
+//! What is timed: scenes and trainers of a given size, the same in every run.
+
+use glam::{DAffine3, DVec3};
+use io::{Frame, Image, Scene, SceneFormat, SparsePoint, View};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
+use splat_core::{Camera, Gaussians};
+use trainer::{Device, Settings, TrainError, Trainer};
+
+/// Training frames of a workload.
+pub const FRAMES: usize = 24;
+
+/// What of the blur model an iteration carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blur {
+    /// Nothing.
+    Off,
+    /// All of it.
+    Trained,
+    /// All of it, but the scene feature extractor does not learn.
+    Frozen,
+    /// All of it, features and kernels at half resolution.
+    Half,
+}
+
+impl Blur {
+    /// As it is called in tables.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "blur off",
+            Self::Trained => "blur on, extractor trained",
+            Self::Frozen => "blur on, extractor frozen",
+            Self::Half => "blur on, half resolution",
+        }
+    }
+}
+
+/// Size of an iteration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Workload {
+    /// Width of the pictures, px.
+    pub width: usize,
+    /// Height of the pictures, px.
+    pub height: usize,
+    /// Number of Gaussians, SH of degree 3.
+    pub gaussians: usize,
+    /// The blur model.
+    pub blur: Blur,
+    /// Side K of the blur kernels, px.
+    pub kernel_size: usize,
+}
+
+impl Workload {
+    /// A pinhole camera with a focal length of 30/36 of the width.
+    #[must_use]
+    pub fn camera(&self) -> Camera {
+        let (w, h) = (self.width as f64, self.height as f64);
+        let focal = w * 30.0 / 36.0;
+        Camera::pinhole(self.width, self.height, focal, focal, w / 2.0, h / 2.0)
+    }
+
+    /// Random Gaussians in front of the camera: z uniform in [2, 8]; x and y uniform over 1.1 times the view at that
+    /// depth; a size of 1.3 px times exp(0.4 n), per axis times exp(0.3 n); random rotations; opacity sigmoid(2 n);
+    /// n standard normal.
+    #[must_use]
+    pub fn gaussians(&self) -> Gaussians {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let focal = self.camera().fx;
+        let mut g = Gaussians {
+            sh_degree: 3,
+            ..Gaussians::default()
+        };
+        for _ in 0..self.gaussians {
+            let z = 2.0 + 6.0 * uniform(&mut rng);
+            let x = (uniform(&mut rng) - 0.5) * 1.1 * self.width as f64 * z / focal;
+            let y = (uniform(&mut rng) - 0.5) * 1.1 * self.height as f64 * z / focal;
+            let size = 1.3 * z / focal * (0.4 * normal(&mut rng)).exp();
+            g.means.push([x, y, z].map(|v| v as f32));
+            g.log_scales.push(std::array::from_fn(|_| {
+                (size.ln() + 0.3 * normal(&mut rng)) as f32
+            }));
+            g.quats
+                .push(std::array::from_fn(|_| normal(&mut rng) as f32));
+            g.opacity_logits.push(2.0 * normal(&mut rng) as f32);
+            g.sh.extend(
+                (0..48).map(|k| (normal(&mut rng) * if k < 3 { 0.5 } else { 0.05 }) as f32),
+            );
+        }
+        g
+    }
+
+    /// Pictures of noise from one place.
+    fn scene(&self) -> Scene {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let pixels: Vec<f32> = (0..self.width * self.height * 3)
+            .map(|_| uniform(&mut rng) as f32)
+            .collect();
+        let frame = |index: usize| Frame {
+            view: View {
+                name: format!("noise {index}"),
+                camera: self.camera(),
+                cam_from_world: DAffine3::IDENTITY,
+                time: index as f32,
+                image: Image {
+                    width: self.width,
+                    height: self.height,
+                    pixels: pixels.clone(),
+                },
+            },
+            depth: None,
+            mask: None,
+        };
+        Scene {
+            root: std::env::temp_dir(),
+            name: "noise".to_owned(),
+            format: SceneFormat::ShapeOfMotion,
+            downscale: 1,
+            frames: (0..FRAMES).map(frame).collect(),
+            test: Vec::new(),
+            points: vec![SparsePoint {
+                position: DVec3::Z * 5.0,
+                color: [0.5; 3],
+            }],
+            tracks: None,
+            notes: Vec::new(),
+        }
+    }
+
+    /// A trainer on pictures of noise, before its first iteration: all SH degrees from that on, no density control, the
+    /// blur model as early as the schedule allows and without a hold, so that from iteration
+    /// [`Self::first_full_iteration`] on every one does the same work.
+    ///
+    /// # Errors
+    /// The trainer refuses the sizes.
+    pub fn trainer(&self, device: &Device) -> Result<Trainer, TrainError> {
+        let mut settings = Settings {
+            iterations: 200,
+            ..Settings::default()
+        };
+        settings.gaussians.sh_degree_every = 1;
+        settings.gaussians.control_from = 40_000;
+        settings.blur.enabled = self.blur != Blur::Off;
+        settings.blur.kernel_size = self.kernel_size;
+        settings.blur.hold = 0;
+        settings.blur.downscale = if self.blur == Blur::Half { 2 } else { 1 };
+        settings.blur.train_extractor = self.blur != Blur::Frozen;
+        let mut trainer = Trainer::new(self.scene(), settings, device)?;
+        trainer.start_from(&self.gaussians())?;
+        Ok(trainer)
+    }
+
+    /// From here on (1-based) every iteration does the same work: blur begins after 50, L_spa 50 later.
+    #[must_use]
+    pub fn first_full_iteration(&self) -> usize {
+        if self.blur == Blur::Off { 4 } else { 101 }
+    }
+}
+
+fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+    (f64::from(rng.next_u32()) + 0.5) / (f64::from(u32::MAX) + 1.0)
+}
+
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    (-2.0 * uniform(rng).ln()).sqrt() * (std::f64::consts::TAU * uniform(rng)).cos()
+}
