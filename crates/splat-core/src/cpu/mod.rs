@@ -7,14 +7,15 @@
 //! fixed pieces and every sum has a fixed order.
 
 mod backward;
+mod blocks;
 mod geometry;
-mod lanes;
 mod project;
 mod project_backward;
 mod raster;
 mod raster_backward;
 mod real;
 mod sh;
+mod simd;
 #[cfg(test)]
 mod tests;
 mod tiles;
@@ -24,6 +25,7 @@ pub use backward::{BackwardOptions, Gradients, backward};
 pub use project::{Projection, project};
 pub use raster::{Raster, RasterState, rasterize};
 pub use real::Real;
+pub use simd::Vectors;
 pub use types::{SplatSlices, View};
 
 /// Side of a square tile in pixels, and the number of lanes of the inner loops.

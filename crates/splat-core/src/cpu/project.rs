@@ -23,7 +23,8 @@ pub(super) struct Splat<T> {
     pub(super) opacity: T,
     /// max(SH + 0.5, 0), and z-depth.
     pub(super) channels: [T; 4],
-    /// Rows of pixels [from, to) that its bounding box meets.
+    /// Columns and rows of pixels [from, to) that its bounding box meets.
+    pub(super) columns: [u16; 2],
     pub(super) rows: [u16; 2],
     /// Row in the inputs.
     pub(super) row: u32,
@@ -210,8 +211,8 @@ fn project_row<T: Real>(
         |variance: T| (T::of(2.0) * sigma_max * variance).sqrt() * T::of(1.001) + T::of(0.01);
     let (half_width, half_height) = (reach(g.xx), reach(g.yy));
     let [mx, my] = g.mean2d;
-    pixel_range(mx - half_width, mx + half_width, view.camera.width)?;
-    let (from, to) = pixel_range(my - half_height, my + half_height, view.camera.height)?;
+    let columns = pixel_range(mx - half_width, mx + half_width, view.camera.width)?;
+    let rows = pixel_range(my - half_height, my + half_height, view.camera.height)?;
 
     let (direction, _) = view_direction(&view.cam_from_world, shape.mean);
     let basis = sh::basis(view.sh_degree, direction);
@@ -234,7 +235,8 @@ fn project_row<T: Real>(
         opacity,
         channels: [color[0], color[1], color[2], g.point[2]],
         // The sides of an image are at most 65,535 px.
-        rows: [from as u16, to as u16],
+        columns: [columns.0 as u16, columns.1 as u16],
+        rows: [rows.0 as u16, rows.1 as u16],
         row: row as u32,
     };
     let extent = Extent {

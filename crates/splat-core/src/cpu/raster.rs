@@ -3,7 +3,7 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::lanes::{Lanes, PerChannel, add_scaled};
+use super::blocks::{ACROSS, BLOCK, BLOCKS, PerChannel, Pixels, blocks_under, centers, place};
 use super::project::{Splat, find_not_finite};
 use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Projection, Real, TILE};
 use crate::SplatError;
@@ -23,10 +23,10 @@ pub struct Raster<T> {
 /// What the backward pass needs of a forward pass beside its inputs.
 #[derive(Clone, Debug)]
 pub struct RasterState<T> {
-    /// Transmittance behind the last Gaussian, per tile and row.
-    pub(super) transmittance: Vec<[Lanes<T>; TILE]>,
+    /// Transmittance behind the last Gaussian, per tile.
+    pub(super) transmittance: Vec<Pixels<T>>,
     /// Per pixel one more than the place in the tile's list of the last Gaussian that was drawn.
-    pub(super) last: Vec<[Lanes<u32>; TILE]>,
+    pub(super) last: Vec<Pixels<T>>,
     pub(super) num_features: usize,
 }
 
@@ -54,10 +54,10 @@ pub fn rasterize<T: Real>(
     let channels = 4 + num_features;
     let tiles = &projection.tiles;
     let num_tiles = tiles.num_tiles();
-    let per_tile = TILE * channels;
-    let mut blended = vec![[T::ZERO; TILE]; num_tiles * per_tile];
-    let mut transmittance = vec![[[T::ONE; TILE]; TILE]; num_tiles];
-    let mut last = vec![[[0_u32; TILE]; TILE]; num_tiles];
+    let per_tile = BLOCKS * channels;
+    let mut blended = vec![[T::ZERO; BLOCK]; num_tiles * per_tile];
+    let mut transmittance = vec![[[T::ONE; BLOCK]; BLOCKS]; num_tiles];
+    let mut last = vec![[[T::ZERO; BLOCK]; BLOCKS]; num_tiles];
     let arch = Arch::new();
     blended
         .par_chunks_mut(per_tile)
@@ -89,12 +89,12 @@ pub fn rasterize<T: Real>(
         .for_each(|(y, line)| {
             for (x, pixel) in line.chunks_exact_mut(stride).enumerate() {
                 let tile = y / TILE * tiles.across + x / TILE;
-                let (row, lane) = (y % TILE, x % TILE);
-                let from = &blended[tile * per_tile + row * channels..][..channels];
+                let (block, lane) = place(y % TILE, x % TILE);
+                let from = &blended[tile * per_tile + block * channels..][..channels];
                 for k in 0..3 {
                     pixel[k] = from[k][lane];
                 }
-                pixel[3] = T::ONE - transmittance[tile][row][lane];
+                pixel[3] = T::ONE - transmittance[tile][block][lane];
                 for k in 0..depth_and_more {
                     pixel[4 + k] = from[3 + k][lane];
                 }
@@ -108,13 +108,6 @@ pub fn rasterize<T: Real>(
             num_features,
         },
     })
-}
-
-/// Horizontal positions of a tile's pixel centres relative to `mean_x`.
-#[inline(always)]
-pub(super) fn offsets<T: Real>(first_column: usize, mean_x: T) -> Lanes<T> {
-    let base = T::of(first_column as f64 + 0.5);
-    std::array::from_fn(|l| (base + T::of(l as f64)) - mean_x)
 }
 
 /// Gaussians that a tile loads at a time: their cache misses overlap.
@@ -131,14 +124,61 @@ pub(super) fn load_batch<T: Real>(
     batch.extend(list.iter().map(|g| projection.splats[*g as usize]));
 }
 
-/// Colour, depth and features of a Gaussian.
+/// Colour, depth and features of a Gaussian, each in all lanes.
 #[inline(always)]
-pub(super) fn load_channels<T: Real>(splat: &Splat<T>, features: &[T], values: &mut [T]) {
-    values[..4].copy_from_slice(&splat.channels);
-    let num_features = values.len() - 4;
-    if num_features > 0 {
-        let row = splat.row as usize * num_features;
-        values[4..].copy_from_slice(&features[row..row + num_features]);
+pub(super) fn load_channels<T: Real, S: Simd>(
+    simd: S,
+    splat: &Splat<T>,
+    features: &[T],
+    values: &mut [T::Vector<S>],
+) {
+    let row = splat.row as usize * (values.len() - 4);
+    for (k, value) in values.iter_mut().enumerate() {
+        *value = T::splat(
+            simd,
+            if k < 4 {
+                splat.channels[k]
+            } else {
+                features[row + k - 4]
+            },
+        );
+    }
+}
+
+/// A Gaussian's ellipse and opacity, each in all lanes.
+#[derive(Clone, Copy)]
+pub(super) struct Footprint<V> {
+    x: V,
+    y: V,
+    l11: V,
+    l21: V,
+    l22: V,
+    opacity: V,
+}
+
+impl<V: Copy> Footprint<V> {
+    #[inline(always)]
+    pub(super) fn new<T: Real<Vector<S> = V>, S: Simd>(simd: S, splat: &Splat<T>) -> Self {
+        let splat_of = |value| T::splat(simd, value);
+        Self {
+            x: splat_of(splat.mean[0]),
+            y: splat_of(splat.mean[1]),
+            l11: splat_of(splat.l11),
+            l21: splat_of(splat.l21),
+            l22: splat_of(splat.l22),
+            opacity: splat_of(splat.opacity),
+        }
+    }
+
+    /// p, dy and alpha before its clamp at some pixel centres. Forward and backward pass get the same bits.
+    #[inline(always)]
+    pub(super) fn at<T: Real<Vector<S> = V>, S: Simd>(&self, simd: S, x: V, y: V) -> (V, V, V) {
+        let dx = T::vsub(simd, x, self.x);
+        let dy = T::vsub(simd, y, self.y);
+        let p = T::mul_add(simd, self.l11, dx, T::vmul(simd, self.l21, dy));
+        let q = T::vmul(simd, self.l22, dy);
+        let sigma = T::mul_add(simd, p, p, T::vmul(simd, q, q));
+        (p, dy, T::vmul(simd, self.opacity, T::exp_neg(simd, sigma)))
     }
 }
 
@@ -147,9 +187,10 @@ struct BlendTile<'a, T> {
     features: &'a [T],
     num_features: usize,
     tile: usize,
-    blended: &'a mut [Lanes<T>],
-    transmittance: &'a mut [Lanes<T>; TILE],
-    last: &'a mut [Lanes<u32>; TILE],
+    /// [blocks, channels] of 16 pixels.
+    blended: &'a mut [[T; BLOCK]],
+    transmittance: &'a mut Pixels<T>,
+    last: &'a mut Pixels<T>,
     /// Reused by the tiles of a thread.
     batch: &'a mut Vec<Splat<T>>,
 }
@@ -158,74 +199,84 @@ impl<T: Real> WithSimd for BlendTile<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn with_simd<S: Simd>(self, simd: S) {
+        let zero = T::splat(simd, T::ZERO);
         match self.num_features {
-            0 => self.run([T::ZERO; 4]),
-            1 => self.run([T::ZERO; 5]),
-            n => self.run(vec![T::ZERO; 4 + n]),
+            0 => self.run(simd, [zero; 4]),
+            1 => self.run(simd, [zero; 5]),
+            n => self.run(simd, vec![zero; 4 + n]),
         }
     }
 }
 
 impl<T: Real> BlendTile<'_, T> {
     #[inline(always)]
-    fn run(self, mut values: impl PerChannel<T>) {
+    fn run<S: Simd>(self, simd: S, mut values: impl PerChannel<T::Vector<S>>) {
         let (projection, tiles) = (self.projection, &self.projection.tiles);
         let camera = &projection.view.camera;
         let (left, top) = (
             self.tile % tiles.across * TILE,
             self.tile / tiles.across * TILE,
         );
-        let rows = (camera.height - top).min(TILE);
-        let columns = (camera.width - left).min(TILE);
+        let [xs, ys] = centers::<T>(left, top);
         // The alpha from which a pixel is drawn; pixels outside the image are done from the start.
-        let mut threshold = [[T::of(DONE); TILE]; TILE];
-        for row in &mut threshold[..rows] {
-            row[..columns].fill(T::of(MIN_ALPHA));
+        let mut threshold = [[T::of(DONE); BLOCK]; BLOCKS];
+        for (y, x) in (0..(camera.height - top).min(TILE))
+            .flat_map(|y| (0..(camera.width - left).min(TILE)).map(move |x| (y, x)))
+        {
+            let (block, lane) = place(y, x);
+            threshold[block][lane] = T::of(MIN_ALPHA);
         }
+        let [zero, done] = [T::ZERO, T::of(DONE)].map(|v| T::splat(simd, v));
+        let max_alpha = T::splat(simd, T::of(MAX_ALPHA));
+        let min_transmittance = T::splat(simd, T::of(MIN_TRANSMITTANCE));
         let values = values.values();
         let channels = values.len();
         let list = &tiles.gaussians[tiles.slots_of_tile(self.tile)];
         for (k, batch_list) in list.chunks(BATCH).enumerate() {
-            if threshold.iter().flatten().all(|t| *t == T::of(DONE)) {
+            let live = threshold.map(|block| block.iter().any(|t| *t != T::of(DONE)));
+            if !live.contains(&true) {
                 break;
             }
             load_batch(projection, batch_list, self.batch);
             for (place, splat) in self.batch.iter().enumerate() {
-                let place = (k * BATCH + place) as u32;
-                load_channels(splat, self.features, values);
-                let dx = offsets(left, splat.mean[0]);
-                let [from, to] = splat.rows.map(usize::from);
-                for row in from.saturating_sub(top)..(to - top).min(TILE) {
-                    let dy = T::of((top + row) as f64 + 0.5) - splat.mean[1];
-                    let shift = splat.l21 * dy;
-                    let q = splat.l22 * dy;
-                    let q2 = q * q;
-                    let threshold = &mut threshold[row];
-                    let transmittance = &mut self.transmittance[row];
-                    let last = &mut self.last[row];
-                    let mut weight = [T::ZERO; TILE];
-                    for l in 0..TILE {
-                        let p = splat.l11 * dx[l] + shift;
-                        let alpha = (splat.opacity * (p * p + q2).exp_neg()).min(T::of(MAX_ALPHA));
-                        let before = transmittance[l];
-                        let share = alpha * before;
-                        // Not before (1 - alpha): many equal alphas would round 1 - alpha the same way each time.
-                        let after = before - share;
-                        let seen = alpha >= threshold[l];
-                        let drawn = seen & (after > T::of(MIN_TRANSMITTANCE));
-                        threshold[l] = if seen & !drawn {
-                            T::of(DONE)
-                        } else {
-                            threshold[l]
-                        };
-                        transmittance[l] = if drawn { after } else { before };
-                        last[l] = if drawn { place + 1 } else { last[l] };
-                        weight[l] = if drawn { share } else { T::ZERO };
-                    }
-                    let blended = &mut self.blended[row * channels..][..channels];
-                    for (sum, value) in blended.iter_mut().zip(values.iter()) {
-                        add_scaled(sum, &weight, *value);
+                load_channels(simd, splat, self.features, values);
+                let footprint = Footprint::new(simd, splat);
+                let place = T::splat(simd, T::of((k * BATCH + place + 1) as f64));
+                for by in blocks_under(splat.rows, top) {
+                    for bx in blocks_under(splat.columns, left) {
+                        let block = by * ACROSS + bx;
+                        if !live[block] {
+                            continue;
+                        }
+                        let (xs, ys) = (T::vectors::<S>(&xs[block]), T::vectors::<S>(&ys[block]));
+                        let threshold = T::vectors_mut::<S>(&mut threshold[block]);
+                        let transmittance = T::vectors_mut::<S>(&mut self.transmittance[block]);
+                        let last = T::vectors_mut::<S>(&mut self.last[block]);
+                        let blended = &mut self.blended[block * channels..][..channels];
+                        for v in 0..xs.len() {
+                            let (_, _, raw) = footprint.at::<T, S>(simd, xs[v], ys[v]);
+                            let alpha =
+                                T::select(simd, T::less(simd, raw, max_alpha), raw, max_alpha);
+                            let before = transmittance[v];
+                            let share = T::vmul(simd, alpha, before);
+                            // Not before (1 - alpha): many equal alphas would round 1 - alpha the same way each time.
+                            let after = T::vsub(simd, before, share);
+                            let goes_on = T::less(simd, min_transmittance, after);
+                            // Where it is not seen, nothing changes; where it is the last, the pixel is done.
+                            let unseen = T::less(simd, alpha, threshold[v]);
+                            let ends = T::select(simd, goes_on, threshold[v], done);
+                            threshold[v] = T::select(simd, unseen, threshold[v], ends);
+                            let share = T::select(simd, goes_on, share, zero);
+                            let share = T::select(simd, unseen, zero, share);
+                            let drawn = T::less(simd, zero, share);
+                            transmittance[v] = T::select(simd, drawn, after, before);
+                            last[v] = T::select(simd, drawn, place, last[v]);
+                            for (sum, value) in blended.iter_mut().zip(values.iter()) {
+                                let sum = &mut T::vectors_mut::<S>(sum)[v];
+                                *sum = T::mul_add(simd, share, *value, *sum);
+                            }
+                        }
                     }
                 }
             }

@@ -3,9 +3,9 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::lanes::{Lanes, PerChannel, add_product, add_scaled, sum_lanes};
+use super::blocks::{ACROSS, BLOCK, BLOCKS, PerChannel, blocks_under, centers, place};
 use super::project::Splat;
-use super::raster::{BATCH, load_batch, load_channels, offsets};
+use super::raster::{BATCH, Footprint, load_batch, load_channels};
 use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, Projection, RasterState, Real, TILE};
 
 /// Geometric sums in a partial gradient, before its channels. With s = ∂L/∂sigma per pixel:
@@ -59,8 +59,8 @@ struct UnblendTile<'a, T> {
     v_output: &'a [T],
     tile: usize,
     partial: &'a mut [T],
-    /// Output gradient of the tile: [rows, 5 + F] lanes; reused by the tiles of a thread.
-    scratch: &'a mut Vec<Lanes<T>>,
+    /// Output gradient of the tile: [blocks, 5 + F] of 16 pixels; reused by the tiles of a thread.
+    scratch: &'a mut Vec<[T; BLOCK]>,
     batch: &'a mut Vec<Splat<T>>,
 }
 
@@ -68,28 +68,29 @@ impl<T: Real> WithSimd for UnblendTile<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let zero = [T::ZERO; TILE];
+    fn with_simd<S: Simd>(self, simd: S) {
+        let zero = T::splat(simd, T::ZERO);
         match self.state.num_features {
-            0 => self.run([T::ZERO; 4], [zero; 4]),
-            1 => self.run([T::ZERO; 5], [zero; 5]),
-            n => self.run(vec![T::ZERO; 4 + n], vec![zero; 4 + n]),
+            0 => self.run(simd, [zero; 4], [zero; 4]),
+            1 => self.run(simd, [zero; 5], [zero; 5]),
+            n => self.run(simd, vec![zero; 4 + n], vec![zero; 4 + n]),
         }
     }
 }
 
 impl<T: Real> UnblendTile<'_, T> {
-    /// The tile's output gradient with pixels in lanes: alpha first, then colour, depth, features.
+    /// The tile's output gradient by blocks: alpha first, then colour, depth, features.
     #[inline(always)]
     fn gather(&mut self, left: usize, top: usize, channels: usize) {
         let camera = &self.projection.view.camera;
         let stride = BASE_CHANNELS + self.state.num_features;
         self.scratch.clear();
-        self.scratch.resize(TILE * (channels + 1), [T::ZERO; TILE]);
-        for row in 0..(camera.height - top).min(TILE) {
-            let to = &mut self.scratch[row * (channels + 1)..][..channels + 1];
-            for lane in 0..(camera.width - left).min(TILE) {
-                let pixel = ((top + row) * camera.width + left + lane) * stride;
+        self.scratch.resize(BLOCKS * stride, [T::ZERO; BLOCK]);
+        for y in 0..(camera.height - top).min(TILE) {
+            for x in 0..(camera.width - left).min(TILE) {
+                let (block, lane) = place(y, x);
+                let to = &mut self.scratch[block * (channels + 1)..][..channels + 1];
+                let pixel = ((top + y) * camera.width + left + x) * stride;
                 let from = &self.v_output[pixel..pixel + stride];
                 to[0][lane] = from[3];
                 for k in 0..3 {
@@ -103,7 +104,12 @@ impl<T: Real> UnblendTile<'_, T> {
     }
 
     #[inline(always)]
-    fn run(mut self, mut values: impl PerChannel<T>, mut sums: impl PerChannel<Lanes<T>>) {
+    fn run<S: Simd>(
+        mut self,
+        simd: S,
+        mut values: impl PerChannel<T::Vector<S>>,
+        mut sums: impl PerChannel<T::Vector<S>>,
+    ) {
         let (projection, tiles) = (self.projection, &self.projection.tiles);
         let (left, top) = (
             self.tile % tiles.across * TILE,
@@ -114,76 +120,91 @@ impl<T: Real> UnblendTile<'_, T> {
         let channels = values.len();
         self.gather(left, top, channels);
         let width = GEOMETRIC + channels;
+        let [xs, ys] = centers::<T>(left, top);
         let list = &tiles.gaussians[tiles.slots_of_tile(self.tile)];
         let last = &self.state.last[self.tile];
-        let row_last = last.map(|lanes| lanes.iter().fold(0, |m, l| m.max(*l)));
-        let tile_last = row_last.iter().fold(0, |m, l| m.max(*l)) as usize;
+        let block_last = last.map(|block| {
+            let largest = block.iter().fold(T::ZERO, |m, l| m.max(*l));
+            largest.to_f64() as usize
+        });
+        let tile_last = block_last.iter().fold(0, |m, l| m.max(*l));
         // Transmittance in front of the Gaussians handled so far, and Σ weight · (their channels ·
         // output gradient), which is what lies behind the next one.
         let mut transmittance = self.state.transmittance[self.tile];
-        let mut behind = [[T::ZERO; TILE]; TILE];
+        let mut behind = [[T::ZERO; BLOCK]; BLOCKS];
+        let [zero, one] = [T::ZERO, T::ONE].map(|v| T::splat(simd, v));
+        let min_alpha = T::splat(simd, T::of(MIN_ALPHA));
+        let max_alpha = T::splat(simd, T::of(MAX_ALPHA));
 
         for (k, batch_list) in list[..tile_last].chunks(BATCH).enumerate().rev() {
             load_batch(projection, batch_list, self.batch);
             for (place, splat) in self.batch.iter().enumerate().rev() {
                 let place = k * BATCH + place;
-                load_channels(splat, self.features, values);
-                sums.fill([T::ZERO; TILE]);
-                let mut geometric = [[T::ZERO; TILE]; GEOMETRIC];
-                let dx = offsets(left, splat.mean[0]);
-                let [from, to] = splat.rows.map(usize::from);
-                for row in from.saturating_sub(top)..(to - top).min(TILE) {
-                    if row_last[row] as usize <= place {
-                        continue;
-                    }
-                    let dy = T::of((top + row) as f64 + 0.5) - splat.mean[1];
-                    let shift = splat.l21 * dy;
-                    let q = splat.l22 * dy;
-                    let q2 = q * q;
-                    let v_output = &self.scratch[row * (channels + 1)..][..channels + 1];
-                    let mut dot = v_output[0];
-                    for (v, value) in v_output[1..].iter().zip(values.iter()) {
-                        add_scaled(&mut dot, v, *value);
-                    }
-                    let (last, transmittance, behind) =
-                        (&last[row], &mut transmittance[row], &mut behind[row]);
-                    let mut weight = [T::ZERO; TILE];
-                    let mut s = [T::ZERO; TILE];
-                    let mut p = [T::ZERO; TILE];
-                    for l in 0..TILE {
-                        // The same operations as in the forward pass, so that the same pixels are drawn.
-                        p[l] = splat.l11 * dx[l] + shift;
-                        let raw = splat.opacity * (p[l] * p[l] + q2).exp_neg();
-                        let clamped = raw.min(T::of(MAX_ALPHA));
-                        let drawn = (clamped >= T::of(MIN_ALPHA)) & (last[l] > place as u32);
-                        let alpha = if drawn { clamped } else { T::ZERO };
-                        let inverse = T::ONE / (T::ONE - alpha);
-                        // Not after / (1 - alpha), for the forward pass' reason.
-                        let after = transmittance[l];
-                        let share = alpha * inverse * after;
-                        let before = after + share;
-                        transmittance[l] = before;
-                        weight[l] = share;
-                        let v_alpha = before * dot[l] - behind[l] * inverse;
-                        behind[l] += weight[l] * dot[l];
-                        // ∂alpha/∂sigma = -alpha, and 0 where alpha is clamped.
-                        let passes = drawn & (raw < T::of(MAX_ALPHA));
-                        s[l] = if passes { -(v_alpha * raw) } else { T::ZERO };
-                    }
-                    let sp: Lanes<T> = std::array::from_fn(|l| s[l] * p[l]);
-                    add_scaled(&mut geometric[0], &sp, T::ONE);
-                    add_product(&mut geometric[1], &sp, &p);
-                    add_scaled(&mut geometric[2], &sp, dy);
-                    add_scaled(&mut geometric[3], &s, dy);
-                    add_scaled(&mut geometric[4], &s, dy * dy);
-                    add_scaled(&mut geometric[5], &s, T::ONE);
-                    for (sum, v) in sums.iter_mut().zip(&v_output[1..]) {
-                        add_product(sum, &weight, v);
+                load_channels(simd, splat, self.features, values);
+                let footprint = Footprint::new(simd, splat);
+                let place_in_lanes = T::splat(simd, T::of(place as f64));
+                sums.fill(zero);
+                let mut geometric = [zero; GEOMETRIC];
+                for by in blocks_under(splat.rows, top) {
+                    for bx in blocks_under(splat.columns, left) {
+                        let block = by * ACROSS + bx;
+                        if block_last[block] <= place {
+                            continue;
+                        }
+                        let (xs, ys) = (T::vectors::<S>(&xs[block]), T::vectors::<S>(&ys[block]));
+                        let last = T::vectors::<S>(&last[block]);
+                        let transmittance = T::vectors_mut::<S>(&mut transmittance[block]);
+                        let behind = T::vectors_mut::<S>(&mut behind[block]);
+                        let v_output = &self.scratch[block * (channels + 1)..][..channels + 1];
+                        for v in 0..xs.len() {
+                            let mut dot = T::vectors::<S>(&v_output[0])[v];
+                            for (gradient, value) in v_output[1..].iter().zip(values.iter()) {
+                                dot = T::mul_add(simd, T::vectors::<S>(gradient)[v], *value, dot);
+                            }
+                            // The same operations as in the forward pass, so that the same pixels are drawn.
+                            let (p, dy, raw) = footprint.at::<T, S>(simd, xs[v], ys[v]);
+                            let unclamped = T::less(simd, raw, max_alpha);
+                            let clamped = T::select(simd, unclamped, raw, max_alpha);
+                            let seen = T::select(
+                                simd,
+                                T::less(simd, place_in_lanes, last[v]),
+                                clamped,
+                                zero,
+                            );
+                            let alpha = T::select(simd, T::less(simd, seen, min_alpha), zero, seen);
+                            let inverse = T::vdiv(simd, one, T::vsub(simd, one, alpha));
+                            // Not after / (1 - alpha), for the forward pass' reason.
+                            let after = transmittance[v];
+                            let share = T::vmul(simd, T::vmul(simd, alpha, inverse), after);
+                            let before = T::vadd(simd, after, share);
+                            transmittance[v] = before;
+                            let v_alpha = T::vsub(
+                                simd,
+                                T::vmul(simd, before, dot),
+                                T::vmul(simd, behind[v], inverse),
+                            );
+                            behind[v] = T::mul_add(simd, share, dot, behind[v]);
+                            // ∂alpha/∂sigma = -alpha, and 0 where alpha is clamped.
+                            let passing = T::select(simd, unclamped, alpha, zero);
+                            let s = T::vsub(simd, zero, T::vmul(simd, v_alpha, passing));
+                            let sp = T::vmul(simd, s, p);
+                            let s_dy = T::vmul(simd, s, dy);
+                            geometric[0] = T::vadd(simd, geometric[0], sp);
+                            geometric[1] = T::mul_add(simd, sp, p, geometric[1]);
+                            geometric[2] = T::mul_add(simd, sp, dy, geometric[2]);
+                            geometric[3] = T::vadd(simd, geometric[3], s_dy);
+                            geometric[4] = T::mul_add(simd, s_dy, dy, geometric[4]);
+                            geometric[5] = T::vadd(simd, geometric[5], s);
+                            for (sum, gradient) in sums.iter_mut().zip(&v_output[1..]) {
+                                *sum = T::mul_add(simd, share, T::vectors::<S>(gradient)[v], *sum);
+                            }
+                        }
                     }
                 }
                 let partial = &mut self.partial[place * width..][..width];
-                sum_lanes(&geometric, &mut partial[..GEOMETRIC]);
-                sum_lanes(sums, &mut partial[GEOMETRIC..]);
+                for (target, sum) in partial.iter_mut().zip(geometric.iter().chain(&*sums)) {
+                    *target = T::sum(simd, *sum);
+                }
             }
         }
     }
