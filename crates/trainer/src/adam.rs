@@ -142,29 +142,34 @@ pub struct NonFiniteGradient {
     pub value: f64,
 }
 
-/// Checks every entry of a gradient, [N, C], before anything is stepped.
+/// A gradient, [N, C], if every entry is finite; to be asked before anything is stepped. It costs no copy where the buffer has
+/// no other owner.
 ///
 /// # Errors
 /// Names the first entry that is not finite.
-pub fn check_gradient(grad: &Tensor<2>) -> Result<(), NonFiniteGradient> {
-    let columns = grad.dims()[1];
-    with_real!(grad.dtype(), T => {
-        let grad = values::<T, 2>(grad.clone());
-        match grad.iter().position(|g| !g.finite()) {
-            None => Ok(()),
-            Some(at) => Err(NonFiniteGradient {
-                row: at / columns,
-                column: at % columns,
-                value: grad[at].wide(),
-            }),
+pub fn finite_gradient(grad: Tensor<2>) -> Result<Tensor<2>, NonFiniteGradient> {
+    let [rows, columns] = grad.dims();
+    let (device, dtype) = (grad.device(), grad.dtype());
+    with_real!(dtype, T => {
+        let grad = values::<T, 2>(grad);
+        // Without a branch per value, so that it runs at memory speed.
+        let finite = |block: &[T]| block.iter().fold(true, |ok, g| ok & g.finite());
+        if grad.par_chunks(BLOCK).all(finite) {
+            return Ok(Tensor::from_data(TensorData::new(grad, [rows, columns]), (&device, dtype)));
         }
+        let at = grad.iter().position(|g| !g.finite()).unwrap_or(0);
+        Err(NonFiniteGradient {
+            row: at / columns,
+            column: at % columns,
+            value: grad[at].wide(),
+        })
     })
 }
 
 /// One step of Adam on `param` [N, C], in place: afterwards it is a new leaf that requires its gradient if it was on
 /// an autodiff device, a plain tensor otherwise.
 ///
-/// `grad` [N, C] is what `param.grad_remove(..)` gives, and finite ([`check_gradient`]). No graph is recorded. An element whose gradient is
+/// `grad` [N, C] is what `param.grad_remove(..)` gives, and finite ([`finite_gradient`]). No graph is recorded. An element whose gradient is
 /// zero and whose moments are zero does not move. Magnitudes above 1e15 count as 1e15. Without other handles to
 /// `param` its buffer is reused.
 ///
@@ -222,18 +227,8 @@ fn update<T: Real>(
     if param.is_empty() {
         return;
     }
-    let correction = |beta: f64| 1.0 - beta.powf(f64::from(steps));
-    let first = T::of(1.0 / correction(options.beta1));
-    let second = T::of(1.0 / correction(options.beta2).sqrt());
-    let [b1, b2] = [options.beta1, options.beta2].map(T::of);
-    let [c1, c2] = [1.0 - options.beta1, 1.0 - options.beta2].map(T::of);
-    let epsilon = T::of(options.epsilon);
-    let (limit, small1, small2) = (
-        T::of(LARGEST_GRADIENT),
-        T::of(SMALLEST_FIRST),
-        T::of(SMALLEST_SECOND),
-    );
-    let zero = T::default();
+    let constants = Constants::new(steps, options);
+    let arch = pulp::Arch::new();
     let block = (BLOCK / tile.len()).max(1) * tile.len();
     param
         .par_chunks_mut(block)
@@ -241,40 +236,73 @@ fn update<T: Real>(
         .zip(moment1.par_chunks_mut(block))
         .zip(moment2.par_chunks_mut(block))
         .for_each(|(((param, grad), moment1), moment2)| {
-            for (((param, grad), moment1), moment2) in param
-                .chunks_mut(tile.len())
-                .zip(grad.chunks(tile.len()))
-                .zip(moment1.chunks_mut(tile.len()))
-                .zip(moment2.chunks_mut(tile.len()))
-            {
-                for ((((p, g), m), v), rate) in param
-                    .iter_mut()
-                    .zip(grad)
-                    .zip(moment1)
-                    .zip(moment2)
-                    .zip(tile)
-                {
-                    let g = if *g > limit { limit } else { *g };
-                    let g = if g < -limit { -limit } else { g };
-                    let first_moment = b1 * *m + c1 * g;
-                    let second_moment = b2 * *v + c2 * (g * g);
-                    let first_moment = if first_moment.magnitude() < small1 {
-                        zero
-                    } else {
-                        first_moment
-                    };
-                    let second_moment = if second_moment < small2 {
-                        zero
-                    } else {
-                        second_moment
-                    };
-                    *m = first_moment;
-                    *v = second_moment;
-                    let root = second_moment.root() * second + epsilon;
-                    *p = *p - *rate * (first_moment * first / root);
-                }
-            }
+            arch.dispatch(
+                #[inline(always)]
+                || {
+                    for (((param, grad), moment1), moment2) in param
+                        .chunks_mut(tile.len())
+                        .zip(grad.chunks(tile.len()))
+                        .zip(moment1.chunks_mut(tile.len()))
+                        .zip(moment2.chunks_mut(tile.len()))
+                    {
+                        for ((((p, g), m), v), rate) in param
+                            .iter_mut()
+                            .zip(grad)
+                            .zip(moment1)
+                            .zip(moment2)
+                            .zip(tile)
+                        {
+                            constants.step(p, *g, m, v, *rate);
+                        }
+                    }
+                },
+            );
         });
+}
+
+/// What all elements of a step share.
+struct Constants<T> {
+    /// 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t).
+    corrections: [T; 2],
+    decay: [T; 2],
+    share: [T; 2],
+    epsilon: T,
+    limit: T,
+    smallest: [T; 2],
+}
+
+impl<T: Real> Constants<T> {
+    fn new(steps: u32, options: &AdamOptions) -> Self {
+        let betas = [options.beta1, options.beta2];
+        let [first, second] = betas.map(|beta| 1.0 - beta.powf(f64::from(steps)));
+        Self {
+            corrections: [T::of(1.0 / first), T::of(1.0 / second.sqrt())],
+            decay: betas.map(T::of),
+            share: betas.map(|beta| T::of(1.0 - beta)),
+            epsilon: T::of(options.epsilon),
+            limit: T::of(LARGEST_GRADIENT),
+            smallest: [T::of(SMALLEST_FIRST), T::of(SMALLEST_SECOND)],
+        }
+    }
+
+    #[inline(always)]
+    fn step(&self, param: &mut T, grad: T, moment1: &mut T, moment2: &mut T, rate: T) {
+        let zero = T::default();
+        let g = if grad > self.limit { self.limit } else { grad };
+        let g = if g < -self.limit { -self.limit } else { g };
+        let m = self.decay[0] * *moment1 + self.share[0] * g;
+        let v = self.decay[1] * *moment2 + self.share[1] * (g * g);
+        let m = if m.magnitude() < self.smallest[0] {
+            zero
+        } else {
+            m
+        };
+        let v = if v < self.smallest[1] { zero } else { v };
+        *moment1 = m;
+        *moment2 = v;
+        let root = v.root() * self.corrections[1] + self.epsilon;
+        *param = *param - rate * (m * self.corrections[0] / root);
+    }
 }
 
 #[cfg(test)]

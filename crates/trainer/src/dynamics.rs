@@ -2,7 +2,7 @@
 //! densification that the paper calls dynamic (method facts 2.3 to 2.6 and 7.1).
 
 use crate::TrainError;
-use crate::adam::{LearningRate, check_gradient};
+use crate::adam::{LearningRate, finite_gradient};
 use crate::lifting::lift_tracks;
 use crate::model::{GaussianTensors, Model, MotionModel, host};
 use crate::neighbors::{Neighbors, mean_neighbor_distances};
@@ -107,7 +107,7 @@ pub(crate) fn start_dynamics(
             let Some(grad) = parameter.grad_remove(&mut grads) else {
                 continue;
             };
-            check_gradient(&grad).map_err(|problem| TrainError::FirstFit {
+            let grad = finite_gradient(grad).map_err(|problem| TrainError::FirstFit {
                 step,
                 name,
                 problem,

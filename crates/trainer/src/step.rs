@@ -1,13 +1,12 @@
 //! One iteration: the loss of a view, backward, Adam, density control.
 
 use crate::TrainError;
-use crate::adam::{NonFiniteGradient, check_gradient};
+use crate::adam::{NonFiniteGradient, finite_gradient};
 use crate::density::{
     DensityOptions, DensityStats, RowEdit, add_to_rows, gather_rows, plan_density, reset_opacity,
     split_offsets,
 };
 use crate::dynamics::{densify, densify_share};
-use crate::losses;
 use crate::model::{Model, host, rows_from};
 use crate::objective::Objective;
 use crate::optimizer::Rates;
@@ -285,11 +284,8 @@ fn take_gradients(
 ) -> Result<Vec<Option<Tensor<2>>>, (String, NonFiniteGradient)> {
     let _span = trace_span!("check gradients").entered();
     let take = |(name, parameter): (String, Tensor<2>)| {
-        let grad = parameter.grad_remove(grads);
-        match grad.as_ref().map_or(Ok(()), check_gradient) {
-            Ok(()) => Ok(grad),
-            Err(problem) => Err((name, problem)),
-        }
+        let grad = parameter.grad_remove(grads).map(finite_gradient);
+        grad.transpose().map_err(|problem| (name, problem))
     };
     model.parameters().into_iter().map(take).collect()
 }
@@ -313,6 +309,8 @@ fn insert_rows(tensor: &Tensor<2>, at: usize, rows: &Tensor<2>) -> Tensor<2> {
 
 /// PSNR in dB of detached pictures.
 fn current_psnr(a: &Tensor<3>, b: &Tensor<3>) -> f64 {
-    let error = (a.clone().detach() - b.clone().detach()).powi_scalar(2);
-    -10.0 * f64::from(host(losses::mean(error))[0]).max(1e-12).log10()
+    let (a, b) = (host(a.clone().detach()), host(b.clone().detach()));
+    let squares = a.iter().zip(&b).map(|(a, b)| f64::from(a - b).powi(2));
+    let error = squares.sum::<f64>() / a.len() as f64;
+    -10.0 * error.max(1e-12).log10()
 }

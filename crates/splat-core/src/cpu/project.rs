@@ -121,17 +121,22 @@ pub fn project<T: Real>(
             })
         })
         .collect::<Result<_, SplatError>>()?;
-    let unsorted = chunks.concat();
-
-    let mut order: Vec<(u64, u32)> = unsorted
+    // Depth order; the sort is stable, so that at equal depth the lower row comes first.
+    let mut order: Vec<(u64, u32)> = chunks
         .iter()
         .enumerate()
-        .map(|(k, (s, _))| (s.channels[3].sort_bits(), k as u32))
+        .flat_map(|(c, chunk)| {
+            let key = move |(k, (splat, _)): (usize, &(Splat<T>, _))| {
+                (splat.channels[3].sort_bits(), (c * CHUNK + k) as u32)
+            };
+            chunk.iter().enumerate().map(key)
+        })
         .collect();
-    // Keys are distinct, so that an unstable parallel sort has one possible result.
-    order.par_sort_unstable();
-    let (sorted, extents): (Vec<_>, Vec<_>) =
-        order.iter().map(|(_, k)| unsorted[*k as usize]).unzip();
+    T::sort_by_bits(&mut order);
+    let (sorted, extents): (Vec<_>, Vec<_>) = order
+        .iter()
+        .map(|(_, at)| chunks[*at as usize / CHUNK][*at as usize % CHUNK])
+        .unzip();
 
     let tiles = TileLists::new(&sorted, &extents, view.camera.width, view.camera.height)?;
     let mut rank = vec![u32::MAX; count];

@@ -27,6 +27,8 @@ pub struct RasterState<T> {
     pub(super) transmittance: Vec<Pixels<T>>,
     /// Per pixel one more than the place in the tile's list of the last Gaussian that was drawn.
     pub(super) last: Vec<Pixels<T>>,
+    /// For every slot a bit for each block of the tile in which the Gaussian was drawn.
+    pub(super) drawn: Vec<u16>,
     pub(super) num_features: usize,
 }
 
@@ -58,15 +60,17 @@ pub fn rasterize<T: Real>(
     let mut blended = vec![[T::ZERO; BLOCK]; num_tiles * per_tile];
     let mut transmittance = vec![[[T::ONE; BLOCK]; BLOCKS]; num_tiles];
     let mut last = vec![[[T::ZERO; BLOCK]; BLOCKS]; num_tiles];
+    let mut drawn = vec![0_u16; tiles.slots.len()];
     let arch = Arch::new();
     blended
         .par_chunks_mut(per_tile)
         .zip(&mut transmittance)
         .zip(&mut last)
+        .zip(tiles.pieces_by_tile(&mut drawn, 1))
         .enumerate()
         .for_each_init(
             Vec::new,
-            |batch, (tile, ((blended, transmittance), last))| {
+            |batch, (tile, (((blended, transmittance), last), drawn))| {
                 arch.dispatch(BlendTile {
                     projection,
                     features,
@@ -75,6 +79,7 @@ pub fn rasterize<T: Real>(
                     blended,
                     transmittance,
                     last,
+                    drawn,
                     batch,
                 });
             },
@@ -105,6 +110,7 @@ pub fn rasterize<T: Real>(
         state: RasterState {
             transmittance,
             last,
+            drawn,
             num_features,
         },
     })
@@ -191,6 +197,8 @@ struct BlendTile<'a, T> {
     blended: &'a mut [[T; BLOCK]],
     transmittance: &'a mut Pixels<T>,
     last: &'a mut Pixels<T>,
+    /// Of the tile's slots.
+    drawn: &'a mut [u16],
     /// Reused by the tiles of a thread.
     batch: &'a mut Vec<Splat<T>>,
 }
@@ -242,7 +250,9 @@ impl<T: Real> BlendTile<'_, T> {
             for (place, splat) in self.batch.iter().enumerate() {
                 load_channels(simd, splat, self.features, values);
                 let footprint = Footprint::new(simd, splat);
-                let place = T::splat(simd, T::of((k * BATCH + place + 1) as f64));
+                let place = k * BATCH + place;
+                let next = T::splat(simd, T::of((place + 1) as f64));
+                let mut blocks = 0_u16;
                 for by in blocks_under(splat.rows, top) {
                     for bx in blocks_under(splat.columns, left) {
                         let block = by * ACROSS + bx;
@@ -270,8 +280,9 @@ impl<T: Real> BlendTile<'_, T> {
                             let share = T::select(simd, goes_on, share, zero);
                             let share = T::select(simd, unseen, zero, share);
                             let drawn = T::less(simd, zero, share);
+                            blocks |= u16::from(T::any::<S>(simd, drawn)) << block;
                             transmittance[v] = T::select(simd, drawn, after, before);
-                            last[v] = T::select(simd, drawn, place, last[v]);
+                            last[v] = T::select(simd, drawn, next, last[v]);
                             for (sum, value) in blended.iter_mut().zip(values.iter()) {
                                 let sum = &mut T::vectors_mut::<S>(sum)[v];
                                 *sum = T::mul_add(simd, share, *value, *sum);
@@ -279,6 +290,7 @@ impl<T: Real> BlendTile<'_, T> {
                         }
                     }
                 }
+                self.drawn[place] = blocks;
             }
         }
     }

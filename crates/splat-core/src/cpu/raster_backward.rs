@@ -3,7 +3,7 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::blocks::{ACROSS, BLOCK, BLOCKS, PerChannel, blocks_under, centers, place};
+use super::blocks::{BLOCK, BLOCKS, PerChannel, centers, place};
 use super::project::Splat;
 use super::raster::{BATCH, Footprint, load_batch, load_channels};
 use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, Projection, RasterState, Real, TILE};
@@ -24,13 +24,7 @@ pub(super) fn partial_gradients<T: Real>(
     let tiles = &projection.tiles;
     let width = GEOMETRIC + 4 + state.num_features;
     let mut partial = vec![T::ZERO; tiles.slots.len() * width];
-    let mut pieces = Vec::with_capacity(tiles.num_tiles());
-    let mut rest = partial.as_mut_slice();
-    for tile in 0..tiles.num_tiles() {
-        let (piece, more) = rest.split_at_mut(tiles.slots_of_tile(tile).len() * width);
-        pieces.push(piece);
-        rest = more;
-    }
+    let pieces = tiles.pieces_by_tile(&mut partial, width);
     let arch = Arch::new();
     pieces.into_par_iter().enumerate().for_each_init(
         Default::default,
@@ -123,11 +117,8 @@ impl<T: Real> UnblendTile<'_, T> {
         let [xs, ys] = centers::<T>(left, top);
         let list = &tiles.gaussians[tiles.slots_of_tile(self.tile)];
         let last = &self.state.last[self.tile];
-        let block_last = last.map(|block| {
-            let largest = block.iter().fold(T::ZERO, |m, l| m.max(*l));
-            largest.to_f64() as usize
-        });
-        let tile_last = block_last.iter().fold(0, |m, l| m.max(*l));
+        let drawn = &self.state.drawn[tiles.slots_of_tile(self.tile)];
+        let tile_last = drawn.iter().rposition(|b| *b != 0).map_or(0, |p| p + 1);
         // Transmittance in front of the Gaussians handled so far, and Σ weight · (their channels ·
         // output gradient), which is what lies behind the next one.
         let mut transmittance = self.state.transmittance[self.tile];
@@ -140,64 +131,60 @@ impl<T: Real> UnblendTile<'_, T> {
             load_batch(projection, batch_list, self.batch);
             for (place, splat) in self.batch.iter().enumerate().rev() {
                 let place = k * BATCH + place;
+                let mut blocks = drawn[place];
+                if blocks == 0 {
+                    continue;
+                }
                 load_channels(simd, splat, self.features, values);
                 let footprint = Footprint::new(simd, splat);
                 let place_in_lanes = T::splat(simd, T::of(place as f64));
                 sums.fill(zero);
                 let mut geometric = [zero; GEOMETRIC];
-                for by in blocks_under(splat.rows, top) {
-                    for bx in blocks_under(splat.columns, left) {
-                        let block = by * ACROSS + bx;
-                        if block_last[block] <= place {
-                            continue;
+                while blocks != 0 {
+                    let block = blocks.trailing_zeros() as usize;
+                    blocks &= blocks - 1;
+                    let (xs, ys) = (T::vectors::<S>(&xs[block]), T::vectors::<S>(&ys[block]));
+                    let last = T::vectors::<S>(&last[block]);
+                    let transmittance = T::vectors_mut::<S>(&mut transmittance[block]);
+                    let behind = T::vectors_mut::<S>(&mut behind[block]);
+                    let v_output = &self.scratch[block * (channels + 1)..][..channels + 1];
+                    for v in 0..xs.len() {
+                        let mut dot = T::vectors::<S>(&v_output[0])[v];
+                        for (gradient, value) in v_output[1..].iter().zip(values.iter()) {
+                            dot = T::mul_add(simd, T::vectors::<S>(gradient)[v], *value, dot);
                         }
-                        let (xs, ys) = (T::vectors::<S>(&xs[block]), T::vectors::<S>(&ys[block]));
-                        let last = T::vectors::<S>(&last[block]);
-                        let transmittance = T::vectors_mut::<S>(&mut transmittance[block]);
-                        let behind = T::vectors_mut::<S>(&mut behind[block]);
-                        let v_output = &self.scratch[block * (channels + 1)..][..channels + 1];
-                        for v in 0..xs.len() {
-                            let mut dot = T::vectors::<S>(&v_output[0])[v];
-                            for (gradient, value) in v_output[1..].iter().zip(values.iter()) {
-                                dot = T::mul_add(simd, T::vectors::<S>(gradient)[v], *value, dot);
-                            }
-                            // The same operations as in the forward pass, so that the same pixels are drawn.
-                            let (p, dy, raw) = footprint.at::<T, S>(simd, xs[v], ys[v]);
-                            let unclamped = T::less(simd, raw, max_alpha);
-                            let clamped = T::select(simd, unclamped, raw, max_alpha);
-                            let seen = T::select(
-                                simd,
-                                T::less(simd, place_in_lanes, last[v]),
-                                clamped,
-                                zero,
-                            );
-                            let alpha = T::select(simd, T::less(simd, seen, min_alpha), zero, seen);
-                            let inverse = T::vdiv(simd, one, T::vsub(simd, one, alpha));
-                            // Not after / (1 - alpha), for the forward pass' reason.
-                            let after = transmittance[v];
-                            let share = T::vmul(simd, T::vmul(simd, alpha, inverse), after);
-                            let before = T::vadd(simd, after, share);
-                            transmittance[v] = before;
-                            let v_alpha = T::vsub(
-                                simd,
-                                T::vmul(simd, before, dot),
-                                T::vmul(simd, behind[v], inverse),
-                            );
-                            behind[v] = T::mul_add(simd, share, dot, behind[v]);
-                            // ∂alpha/∂sigma = -alpha, and 0 where alpha is clamped.
-                            let passing = T::select(simd, unclamped, alpha, zero);
-                            let s = T::vsub(simd, zero, T::vmul(simd, v_alpha, passing));
-                            let sp = T::vmul(simd, s, p);
-                            let s_dy = T::vmul(simd, s, dy);
-                            geometric[0] = T::vadd(simd, geometric[0], sp);
-                            geometric[1] = T::mul_add(simd, sp, p, geometric[1]);
-                            geometric[2] = T::mul_add(simd, sp, dy, geometric[2]);
-                            geometric[3] = T::vadd(simd, geometric[3], s_dy);
-                            geometric[4] = T::mul_add(simd, s_dy, dy, geometric[4]);
-                            geometric[5] = T::vadd(simd, geometric[5], s);
-                            for (sum, gradient) in sums.iter_mut().zip(&v_output[1..]) {
-                                *sum = T::mul_add(simd, share, T::vectors::<S>(gradient)[v], *sum);
-                            }
+                        // The same operations as in the forward pass, so that the same pixels are drawn.
+                        let (p, dy, raw) = footprint.at::<T, S>(simd, xs[v], ys[v]);
+                        let unclamped = T::less(simd, raw, max_alpha);
+                        let clamped = T::select(simd, unclamped, raw, max_alpha);
+                        let seen =
+                            T::select(simd, T::less(simd, place_in_lanes, last[v]), clamped, zero);
+                        let alpha = T::select(simd, T::less(simd, seen, min_alpha), zero, seen);
+                        let inverse = T::vdiv(simd, one, T::vsub(simd, one, alpha));
+                        // Not after / (1 - alpha), for the forward pass' reason.
+                        let after = transmittance[v];
+                        let share = T::vmul(simd, T::vmul(simd, alpha, inverse), after);
+                        let before = T::vadd(simd, after, share);
+                        transmittance[v] = before;
+                        let v_alpha = T::vsub(
+                            simd,
+                            T::vmul(simd, before, dot),
+                            T::vmul(simd, behind[v], inverse),
+                        );
+                        behind[v] = T::mul_add(simd, share, dot, behind[v]);
+                        // ∂alpha/∂sigma = -alpha, and 0 where alpha is clamped.
+                        let passing = T::select(simd, unclamped, alpha, zero);
+                        let s = T::vsub(simd, zero, T::vmul(simd, v_alpha, passing));
+                        let sp = T::vmul(simd, s, p);
+                        let s_dy = T::vmul(simd, s, dy);
+                        geometric[0] = T::vadd(simd, geometric[0], sp);
+                        geometric[1] = T::mul_add(simd, sp, p, geometric[1]);
+                        geometric[2] = T::mul_add(simd, sp, dy, geometric[2]);
+                        geometric[3] = T::vadd(simd, geometric[3], s_dy);
+                        geometric[4] = T::mul_add(simd, s_dy, dy, geometric[4]);
+                        geometric[5] = T::vadd(simd, geometric[5], s);
+                        for (sum, gradient) in sums.iter_mut().zip(&v_output[1..]) {
+                            *sum = T::mul_add(simd, share, T::vectors::<S>(gradient)[v], *sum);
                         }
                     }
                 }

@@ -47,6 +47,8 @@ pub trait Real:
     fn is_finite(self) -> bool;
     /// Bits of a positive number; they sort as the numbers do.
     fn sort_bits(self) -> u64;
+    /// Sorts by the bits of such numbers; equal ones stay in their order.
+    fn sort_by_bits<V: Copy>(entries: &mut [(u64, V)]);
 }
 
 impl Real for f32 {
@@ -93,6 +95,9 @@ impl Real for f32 {
     fn sort_bits(self) -> u64 {
         u64::from(self.to_bits())
     }
+    fn sort_by_bits<V: Copy>(entries: &mut [(u64, V)]) {
+        radsort::sort_by_key(entries, |(bits, _)| *bits as u32);
+    }
 }
 
 impl Real for f64 {
@@ -138,5 +143,8 @@ impl Real for f64 {
     #[inline(always)]
     fn sort_bits(self) -> u64 {
         self.to_bits()
+    }
+    fn sort_by_bits<V: Copy>(entries: &mut [(u64, V)]) {
+        radsort::sort_by_key(entries, |(bits, _)| *bits);
     }
 }

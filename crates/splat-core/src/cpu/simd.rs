@@ -37,6 +37,8 @@ pub trait Vectors: Sized {
     fn less<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Mask<S>;
     /// Both.
     fn and<S: Simd>(simd: S, a: Self::Mask<S>, b: Self::Mask<S>) -> Self::Mask<S>;
+    /// Whether the mask is set anywhere.
+    fn any<S: Simd>(simd: S, mask: Self::Mask<S>) -> bool;
     /// `yes` where the mask is set, else `no`.
     fn select<S: Simd>(
         simd: S,
@@ -57,7 +59,7 @@ pub trait Vectors: Sized {
 macro_rules! vector_ops {
     (
         $vector:ident, $mask:ident, $as_simd:ident, $as_mut_simd:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident,
-        $div:ident, $mul_add:ident, $less:ident, $and:ident, $select:ident, $sum:ident
+        $div:ident, $mul_add:ident, $less:ident, $first_true:ident, $and:ident, $select:ident, $sum:ident
     ) => {
         type Vector<S: Simd> = S::$vector;
         type Mask<S: Simd> = S::$mask;
@@ -103,6 +105,10 @@ macro_rules! vector_ops {
             simd.$less(a, b)
         }
         #[inline(always)]
+        fn any<S: Simd>(simd: S, mask: Self::Mask<S>) -> bool {
+            simd.$first_true(mask) < Self::lanes::<S>()
+        }
+        #[inline(always)]
         fn and<S: Simd>(simd: S, a: Self::Mask<S>, b: Self::Mask<S>) -> Self::Mask<S> {
             simd.$and(a, b)
         }
@@ -135,6 +141,7 @@ impl Vectors for f32 {
         div_f32s,
         mul_add_e_f32s,
         less_than_f32s,
+        first_true_m32s,
         and_m32s,
         select_f32s,
         reduce_sum_f32s
@@ -186,6 +193,7 @@ impl Vectors for f64 {
         div_f64s,
         mul_add_e_f64s,
         less_than_f64s,
+        first_true_m64s,
         and_m64s,
         select_f64s,
         reduce_sum_f64s

@@ -1,5 +1,7 @@
 //! Which Gaussians touch which tile, and where each pair's partial gradient lies.
 
+use rayon::prelude::*;
+
 use super::project::{Extent, Splat};
 use super::{Real, TILE};
 use crate::SplatError;
@@ -33,6 +35,23 @@ impl TileLists {
         self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize
     }
 
+    /// A table of `width` values per slot, cut by tiles.
+    pub(super) fn pieces_by_tile<'a, V>(
+        &self,
+        table: &'a mut [V],
+        width: usize,
+    ) -> Vec<&'a mut [V]> {
+        let mut rest = table;
+        let sizes = self.tile_starts.windows(2).map(|w| (w[1] - w[0]) as usize);
+        sizes
+            .map(|slots| {
+                let (piece, more) = std::mem::take(&mut rest).split_at_mut(slots * width);
+                rest = more;
+                piece
+            })
+            .collect()
+    }
+
     /// The slots of a Gaussian, tiles ascending.
     #[inline]
     pub(super) fn slots_of_gaussian(&self, gaussian: usize) -> &[u32] {
@@ -47,34 +66,63 @@ impl TileLists {
         height: usize,
     ) -> Result<Self, SplatError> {
         let (across, down) = (width.div_ceil(TILE), height.div_ceil(TILE));
-        let mut slot_starts = Vec::with_capacity(splats.len() + 1);
-        let mut tiles: Vec<u32> = Vec::with_capacity(3 * splats.len());
-        let mut tile_starts = vec![0_u32; across * down + 1];
-        for (splat, extent) in splats.iter().zip(extents) {
-            slot_starts.push(tiles.len() as u32);
-            each_tile(splat, extent, across, |tile| {
-                tiles.push(tile);
-                tile_starts[tile as usize + 1] += 1;
-            });
-            if tiles.len() > u32::MAX as usize {
-                return Err(SplatError::TooManyTiles { count: tiles.len() });
+        // Every chunk of Gaussians by itself: the tiles of each, and how many come into each tile.
+        let mut chunks: Vec<Chunk> = splats
+            .par_chunks(CHUNK)
+            .zip(extents.par_chunks(CHUNK))
+            .map(|(splats, extents)| {
+                let mut chunk = Chunk {
+                    tiles: Vec::with_capacity(3 * splats.len()),
+                    ends: Vec::with_capacity(splats.len()),
+                    counts: vec![0; across * down],
+                };
+                for (splat, extent) in splats.iter().zip(extents) {
+                    each_tile(splat, extent, across, |tile| {
+                        chunk.tiles.push(tile);
+                        chunk.counts[tile as usize] += 1;
+                    });
+                    chunk.ends.push(chunk.tiles.len() as u32);
+                }
+                chunk
+            })
+            .collect();
+        let count: usize = chunks.iter().map(|chunk| chunk.tiles.len()).sum();
+        if count > u32::MAX as usize {
+            return Err(SplatError::TooManyTiles { count });
+        }
+        // A chunk's counts become its first slot in every tile. Gaussians come in depth order, and so do their slots.
+        let mut tile_starts = Vec::with_capacity(across * down + 1);
+        let mut next = 0;
+        for tile in 0..across * down {
+            tile_starts.push(next);
+            for chunk in &mut chunks {
+                let count = std::mem::replace(&mut chunk.counts[tile], next);
+                next += count;
             }
         }
-        slot_starts.push(tiles.len() as u32);
-        for tile in 0..across * down {
-            tile_starts[tile + 1] += tile_starts[tile];
+        tile_starts.push(next);
+        let mut slot_starts = Vec::with_capacity(splats.len() + 1);
+        slot_starts.push(0);
+        let mut first = 0;
+        for chunk in &chunks {
+            slot_starts.extend(chunk.ends.iter().map(|end| first + end));
+            first += chunk.tiles.len() as u32;
         }
-        // Counting sort: Gaussians come in depth order, so every tile's list is in depth order.
-        let mut next = tile_starts.clone();
-        let mut gaussians = vec![0_u32; tiles.len()];
-        let mut slots = tiles;
-        for gaussian in 0..splats.len() {
-            let range = slot_starts[gaussian] as usize..slot_starts[gaussian + 1] as usize;
-            for slot in &mut slots[range] {
-                let place = &mut next[*slot as usize];
-                gaussians[*place as usize] = gaussian as u32;
+        chunks.par_iter_mut().for_each(|chunk| {
+            for slot in &mut chunk.tiles {
+                let place = &mut chunk.counts[*slot as usize];
                 *slot = *place;
                 *place += 1;
+            }
+        });
+        let mut slots = Vec::with_capacity(count);
+        for chunk in chunks {
+            slots.extend_from_slice(&chunk.tiles);
+        }
+        let mut gaussians = vec![0_u32; count];
+        for (gaussian, range) in slot_starts.windows(2).enumerate() {
+            for slot in &slots[range[0] as usize..range[1] as usize] {
+                gaussians[*slot as usize] = gaussian as u32;
             }
         }
         Ok(Self {
@@ -86,6 +134,19 @@ impl TileLists {
             slots,
         })
     }
+}
+
+/// Gaussians that one task lists: enough that its counts by tile are not what it spends its time on.
+const CHUNK: usize = 1 << 14;
+
+/// The lists of some Gaussians.
+struct Chunk {
+    /// Tiles of all of them, one Gaussian after the other; then their slots.
+    tiles: Vec<u32>,
+    /// Where each Gaussian's tiles end.
+    ends: Vec<u32>,
+    /// Number of tiles' entries; then the tile's next slot.
+    counts: Vec<u32>,
 }
 
 /// Calls `visit` with every tile that has a pixel centre in the ellipse's bounding interval of its

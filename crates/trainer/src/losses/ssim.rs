@@ -98,6 +98,7 @@ fn lanes<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
     let row = width * CHANNELS;
     let pad = WINDOW_EDGE * CHANNELS;
     let weights = window::<T>();
+    let arch = pulp::Arch::new();
     let mut out = vec![T::default(); height * LANES * row];
     if row == 0 {
         return out;
@@ -112,51 +113,57 @@ fn lanes<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
                 )
             },
             |(padded, statistics), (y, out)| {
-                padded.fill(T::default());
-                {
-                    let mut parts = padded.chunks_exact_mut(row + 2 * pad);
-                    let [m, n, p, q, r] = std::array::from_fn(|_| {
-                        &mut parts.next().expect("five statistics")[pad..pad + row]
-                    });
-                    for (tap, source) in rows_under(y, height) {
-                        let weight = weights[tap];
-                        let (a, b) = (&a[source * row..][..row], &b[source * row..][..row]);
-                        for ((((((a, b), m), n), p), q), r) in a
-                            .iter()
-                            .zip(b)
-                            .zip(&mut *m)
-                            .zip(&mut *n)
-                            .zip(&mut *p)
-                            .zip(&mut *q)
-                            .zip(&mut *r)
+                arch.dispatch(
+                    #[inline(always)]
+                    || {
+                        padded.fill(T::default());
                         {
-                            let (wa, wb) = (weight * *a, weight * *b);
-                            *m += wa;
-                            *n += wb;
-                            *p += wa * *a;
-                            *q += wb * *b;
-                            *r += wa * *b;
+                            let mut parts = padded.chunks_exact_mut(row + 2 * pad);
+                            let [m, n, p, q, r] = std::array::from_fn(|_| {
+                                &mut parts.next().expect("five statistics")[pad..pad + row]
+                            });
+                            for (tap, source) in rows_under(y, height) {
+                                let weight = weights[tap];
+                                let (a, b) = (&a[source * row..][..row], &b[source * row..][..row]);
+                                for ((((((a, b), m), n), p), q), r) in a
+                                    .iter()
+                                    .zip(b)
+                                    .zip(&mut *m)
+                                    .zip(&mut *n)
+                                    .zip(&mut *p)
+                                    .zip(&mut *q)
+                                    .zip(&mut *r)
+                                {
+                                    let (wa, wb) = (weight * *a, weight * *b);
+                                    *m += wa;
+                                    *n += wb;
+                                    *p += wa * *a;
+                                    *q += wb * *b;
+                                    *r += wa * *b;
+                                }
+                            }
                         }
-                    }
-                }
-                for (padded, out) in padded
-                    .chunks_exact(row + 2 * pad)
-                    .zip(statistics.chunks_exact_mut(row))
-                {
-                    along_row(padded, &weights, out);
-                }
-                let mut parts = statistics.chunks_exact(row);
-                let [m, n, p, q, r] =
-                    std::array::from_fn(|_| parts.next().expect("five statistics"));
-                let mut parts = out.chunks_exact_mut(row);
-                let [s, dm, dp, dr] = std::array::from_fn(|_| parts.next().expect("four lanes"));
-                for k in 0..row {
-                    let similarity = Similarity::new(m[k], n[k], p[k], q[k], r[k]);
-                    s[k] = similarity.value;
-                    dm[k] = similarity.by_m;
-                    dp[k] = similarity.by_p;
-                    dr[k] = similarity.by_r;
-                }
+                        for (padded, out) in padded
+                            .chunks_exact(row + 2 * pad)
+                            .zip(statistics.chunks_exact_mut(row))
+                        {
+                            along_row(padded, &weights, out);
+                        }
+                        let mut parts = statistics.chunks_exact(row);
+                        let [m, n, p, q, r] =
+                            std::array::from_fn(|_| parts.next().expect("five statistics"));
+                        let mut parts = out.chunks_exact_mut(row);
+                        let [s, dm, dp, dr] =
+                            std::array::from_fn(|_| parts.next().expect("four lanes"));
+                        for k in 0..row {
+                            let similarity = Similarity::new(m[k], n[k], p[k], q[k], r[k]);
+                            s[k] = similarity.value;
+                            dm[k] = similarity.by_m;
+                            dp[k] = similarity.by_p;
+                            dr[k] = similarity.by_r;
+                        }
+                    },
+                )
             },
         );
     out
@@ -205,6 +212,7 @@ fn gradient<T: Real>(
     let row = width * CHANNELS;
     let pad = WINDOW_EDGE * CHANNELS;
     let weights = window::<T>();
+    let arch = pulp::Arch::new();
     let mut out = vec![T::default(); a.len()];
     if row == 0 {
         return out;
@@ -217,30 +225,35 @@ fn gradient<T: Real>(
             )
         },
         |(padded, blurred), (y, out)| {
-            padded.fill(T::default());
-            for (tap, source) in rows_under(y, height) {
-                let partials = &pixels[source * LANES * row..][row..LANES * row];
-                for (padded, partial) in padded
-                    .chunks_exact_mut(row + 2 * pad)
-                    .zip(partials.chunks_exact(row))
-                {
-                    for (o, v) in padded[pad..].iter_mut().zip(partial) {
-                        *o += weights[tap] * *v;
+            arch.dispatch(
+                #[inline(always)]
+                || {
+                    padded.fill(T::default());
+                    for (tap, source) in rows_under(y, height) {
+                        let partials = &pixels[source * LANES * row..][row..LANES * row];
+                        for (padded, partial) in padded
+                            .chunks_exact_mut(row + 2 * pad)
+                            .zip(partials.chunks_exact(row))
+                        {
+                            for (o, v) in padded[pad..].iter_mut().zip(partial) {
+                                *o += weights[tap] * *v;
+                            }
+                        }
                     }
-                }
-            }
-            for (padded, out) in padded
-                .chunks_exact(row + 2 * pad)
-                .zip(blurred.chunks_exact_mut(row))
-            {
-                along_row(padded, &weights, out);
-            }
-            let (dm, rest) = blurred.split_at(row);
-            let (dp, dr) = rest.split_at(row);
-            let (a, b) = (&a[y * row..][..row], &b[y * row..][..row]);
-            for k in 0..row {
-                out[k] = scale * (dm[k] + T::of(2.0) * a[k] * dp[k] + b[k] * dr[k]);
-            }
+                    for (padded, out) in padded
+                        .chunks_exact(row + 2 * pad)
+                        .zip(blurred.chunks_exact_mut(row))
+                    {
+                        along_row(padded, &weights, out);
+                    }
+                    let (dm, rest) = blurred.split_at(row);
+                    let (dp, dr) = rest.split_at(row);
+                    let (a, b) = (&a[y * row..][..row], &b[y * row..][..row]);
+                    for k in 0..row {
+                        out[k] = scale * (dm[k] + T::of(2.0) * a[k] * dp[k] + b[k] * dr[k]);
+                    }
+                },
+            )
         },
     );
     out
