@@ -2,5 +2,12 @@
 //!
 //! `cargo xtask bench` runs it; docs/PERFORMANCE.md holds what it found.
 
+pub mod floor;
+pub mod growth;
+pub mod iteration;
+pub mod machine;
+pub mod net;
+pub mod pairs;
+pub mod report;
 pub mod spans;
 pub mod workload;

@@ -1,53 +1,184 @@
-#![allow(clippy::print_stdout)]
+//! `limpid-bench`: times iterations and how they grow, and writes the results.
+#![allow(clippy::print_stdout, reason = "a program that reports times")]
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use bpnet::Extractor;
+use clap::{Parser, Subcommand};
+use limpid_bench::growth::{sweeps, time_point};
+use limpid_bench::iteration::{Breakdown, breakdown, time_steps, time_workload};
+use limpid_bench::machine::Machine;
+use limpid_bench::net::time_net;
+use limpid_bench::report::Report;
 use limpid_bench::spans::Stages;
 use limpid_bench::workload::{Blur, Workload};
-use std::time::Instant;
-use trainer::Device;
+use trainer::{Device, Settings, Trainer};
+
+/// As in the program: large buffers are kept for the next iteration.
 #[global_allocator]
-static GLOBAL: mimalloc::MiMalloc = mimalloc::MiMalloc;
-fn main() {
-    let args: Vec<String> = std::env::args().collect();
-    let n = |k: usize, d: usize| args.get(k).and_then(|a| a.parse().ok()).unwrap_or(d);
-    let blur = match args.get(1).map(String::as_str) {
-        Some("trained") => Blur::Trained,
-        Some("frozen") => Blur::Frozen,
-        Some("half") => Blur::Half,
-        _ => Blur::Off,
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+type Failure = Box<dyn std::error::Error>;
+
+/// Times training iterations stage by stage, and how they grow; writes tables, JSON and plots.
+#[derive(Debug, Parser)]
+struct Arguments {
+    /// Where the results go.
+    #[arg(long, default_value = "out/bench")]
+    out: PathBuf,
+    /// Fewer sizes and iterations: a minute instead of several.
+    #[arg(long)]
+    quick: bool,
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// One point of a sweep, as JSON: width, height, Gaussians, K, and 1 for blur.
+    #[command(hide = true)]
+    Point { sizes: Vec<usize> },
+    /// Extractor, BP-Net and blur alone, as JSON.
+    Net {
+        /// Width of the picture.
+        #[arg(long, default_value_t = 256)]
+        width: usize,
+        /// Height of the picture.
+        #[arg(long, default_value_t = 144)]
+        height: usize,
+        /// Passes that are timed.
+        #[arg(long, default_value_t = 10)]
+        repeats: usize,
+        /// The extractor does not learn.
+        #[arg(long)]
+        frozen: bool,
+        /// On the backend `ndarray` (needs the feature of that name).
+        #[arg(long)]
+        ndarray: bool,
+    },
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let result = match &arguments.command {
+        Some(Command::Point { sizes }) => point(sizes),
+        Some(Command::Net {
+            width,
+            height,
+            repeats,
+            frozen,
+            ndarray,
+        }) => net([*width, *height], *repeats, *frozen, *ndarray),
+        None => all(&arguments),
     };
-    let w = Workload {
-        width: n(2, 256),
-        height: n(3, 144),
-        gaussians: n(4, 20_000),
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("limpid-bench: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn point(sizes: &[usize]) -> Result<(), Failure> {
+    let &[width, height, gaussians, kernel_size, blur] = sizes else {
+        return Err("a point is width, height, Gaussians, K and 0 or 1 for blur".into());
+    };
+    let blur = if blur == 0 { Blur::Off } else { Blur::Trained };
+    let point = time_point(&Workload {
+        width,
+        height,
+        gaussians,
         blur,
-        kernel_size: n(5, 9),
+        kernel_size,
+    })?;
+    println!("{}", serde_json::to_string(&point)?);
+    Ok(())
+}
+
+fn net(size: [usize; 2], repeats: usize, frozen: bool, ndarray: bool) -> Result<(), Failure> {
+    let extractor = if frozen {
+        Extractor::Frozen
+    } else {
+        Extractor::Trained
     };
-    let count = n(6, 30);
+    let times = time_net(size, extractor, &net_device(ndarray)?, repeats)?;
+    println!("{}", serde_json::to_string(&times)?);
+    Ok(())
+}
+
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
+fn net_device(ndarray: bool) -> Result<Device, Failure> {
+    if !ndarray {
+        return Ok(Device::flex());
+    }
+    #[cfg(feature = "ndarray")]
+    return Ok(Device::ndarray());
+    #[cfg(not(feature = "ndarray"))]
+    Err("build with `--features ndarray`".into())
+}
+
+fn all(arguments: &Arguments) -> Result<(), Failure> {
     let stages = Stages::default();
-    tracing::subscriber::set_global_default(stages.clone()).expect("first");
-    let mut t = w.trainer(&Device::flex()).expect("good");
-    while t.iteration() + 1 < w.first_full_iteration() {
-        t.step().expect("step");
+    tracing::subscriber::set_global_default(stages.clone())?;
+    let machine = Machine::measure();
+    let (device, count) = (Device::flex(), if arguments.quick { 10 } else { 40 });
+    let mut iterations = Vec::new();
+    let sizes: &[_] = if arguments.quick {
+        &[(256, 144, 20_000)]
+    } else {
+        &[(256, 144, 20_000), (512, 288, 100_000)]
+    };
+    for &(width, height, gaussians) in sizes {
+        for blur in [Blur::Off, Blur::Trained, Blur::Frozen, Blur::Half] {
+            let workload = Workload {
+                width,
+                height,
+                gaussians,
+                blur,
+                kernel_size: 9,
+            };
+            eprintln!("{width}x{height}, {gaussians} Gaussians, {}", blur.name());
+            iterations.push(time_workload(&workload, &device, &machine, &stages, count)?);
+        }
     }
-    let _ = stages.take();
-    let mut times = Vec::new();
-    for _ in 0..count {
-        let s = Instant::now();
-        t.step().expect("step");
-        times.push(s.elapsed().as_secs_f64() * 1e3);
+    if !arguments.quick {
+        eprintln!("the demo");
+        iterations.push(demo(&device, &stages)?);
     }
-    times.sort_by(f64::total_cmp);
-    println!(
-        "{w:?}: median {:.2} fastest {:.2}",
-        times[times.len() / 2],
-        times[0]
+    eprintln!("growth");
+    let report = Report {
+        machine,
+        iterations,
+        growth: sweeps(arguments.quick)?,
+    };
+    report.write(&arguments.out)?;
+    print!("{}", report.tables());
+    println!("\nwritten to {}", arguments.out.display());
+    Ok(())
+}
+
+/// Iterations of the demo in which all parts of the method are on: movers, unseen views, depth and masks too.
+fn demo(device: &Device, stages: &Stages) -> Result<Breakdown, Failure> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../demo");
+    let scene = io::Scene::open(folder.as_ref())?;
+    let settings = Settings {
+        iterations: 1200,
+        ..Settings::default()
+    };
+    let mut trainer = Trainer::new(scene, settings, device)?;
+    // Blur from 251 on, its penalty from 551 on.
+    while trainer.iteration() < 560 {
+        trainer.step()?;
+    }
+    let (times, spans) = time_steps(&mut trainer, stages, 100)?;
+    let name = format!(
+        "the demo, 160x90, {} Gaussians, iterations 561 to 660",
+        trainer.model().num_gaussians()
     );
-    let mut st: Vec<_> = stages.take().into_iter().collect();
-    st.sort_by_key(|(_, s)| std::cmp::Reverse(s.time));
-    for (name, s) in st {
-        println!(
-            "{name:28} {:8.3} ms  x{}",
-            s.time.as_secs_f64() * 1e3 / count as f64,
-            s.count / count
-        );
-    }
+    Ok(breakdown(name, times, &spans, |_, _| None))
 }

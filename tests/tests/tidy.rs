@@ -7,7 +7,7 @@ use std::process::Command;
 use toml::{Table, Value};
 
 /// Every crate of the workspace and the crates of ours that it may depend on.
-const ARROWS: [(&str, &[&str]); 8] = [
+const ARROWS: [(&str, &[&str]); 9] = [
     ("splat-core", &[]),
     ("motion-bases", &[]),
     ("bpnet", &[]),
@@ -28,6 +28,7 @@ const ARROWS: [(&str, &[&str]); 8] = [
             "trainer",
         ],
     ),
+    ("limpid-bench", &["splat-core", "bpnet", "io", "trainer"]),
     ("xtask", &[]),
 ];
 
@@ -61,7 +62,7 @@ fn members() -> BTreeMap<String, PathBuf> {
         .map(|entry| entry.expect("an entry of crates/").path())
         .filter(|path| path.is_dir())
         .collect();
-    folders.extend([root.join("tests"), root.join("xtask")]);
+    folders.extend(["bench", "tests", "xtask"].map(|folder| root.join(folder)));
     folders
         .into_iter()
         .map(|folder| {

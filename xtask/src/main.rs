@@ -14,6 +14,9 @@ cargo xtask COMMAND
 
   train [ARGS]   train a scene; without --scene and --config, the demo
                  (cargo xtask train --help lists the arguments)
+  bench [ARGS]   time the kernels and whole iterations, stage by stage, and how they
+                 grow; writes tables, JSON and plots to out/bench/
+                 (cargo xtask bench --help lists the arguments)
   numerics       measure f32 against f64 and write docs/NUMERICS.md
   fmt            check the formatting
   clippy         lint; a warning is an error
@@ -24,6 +27,21 @@ cargo xtask COMMAND
 
 /// What `numerics` starts.
 const NUMERICS: [&str; 5] = ["run", "--package", "limpid-tests", "--bin", "numerics"];
+
+/// What `bench` starts: the kernels by themselves, then the program that times iterations. In the profile of all else, so that
+/// Burn is not compiled a second time.
+const BENCH: [&[&str]; 2] = [
+    &[
+        "bench",
+        "--profile",
+        "dev",
+        "--package",
+        "limpid-bench",
+        "--bench",
+        "kernels",
+    ],
+    &["run", "--package", "limpid-bench", "--"],
+];
 
 /// The steps of `ci` by name, as cargo's arguments.
 const STEPS: [(&str, &[&str]); 4] = [
@@ -53,6 +71,7 @@ fn main() -> ExitCode {
     };
     match command.as_deref().and_then(OsStr::to_str) {
         Some("train") => become_command(train(&rest)),
+        Some("bench") => bench(&rest),
         Some("numerics") => become_command(cargo_in_root(&NUMERICS)),
         Some("ci") => STEPS
             .iter()
@@ -98,6 +117,21 @@ fn train(args: &[OsString]) -> Command {
     }
     command.args(args);
     command
+}
+
+/// Times the kernels, unless `args` ask for something else than the whole run, and then iterations.
+fn bench(args: &[OsString]) -> ExitCode {
+    let [kernels, iterations] = BENCH.map(cargo_in_root);
+    if args.is_empty() {
+        let mut kernels = kernels;
+        kernels.env("CRITERION_HOME", root().join("out/bench/criterion"));
+        if let Err(code) = wait(kernels) {
+            return code;
+        }
+    }
+    let mut iterations = iterations;
+    iterations.args(args);
+    become_command(iterations)
 }
 
 /// The feature that compiles the backend which `args` ask for, unless it is in the default build.

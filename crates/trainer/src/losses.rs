@@ -7,6 +7,7 @@ mod ssim;
 
 pub use depth::{DisparityFit, depth_loss, fit_disparity};
 pub use mask::{mask_band, mask_loss};
+use ssim::l1_and_ssim;
 pub use ssim::ssim;
 pub(crate) use ssim::{WINDOW_EDGE, ssim_map};
 
@@ -22,19 +23,12 @@ pub(crate) fn mean<const D: usize>(tensor: Tensor<D>) -> Tensor<1> {
     rows.sum_dim(1).sum().div_scalar(count as f64)
 }
 
-/// Mean absolute difference of two pictures.
-#[must_use]
-pub fn l1(a: Tensor<3>, b: Tensor<3>) -> Tensor<1> {
-    mean((a - b).abs())
-}
-
 /// The image loss of 3D Gaussian Splatting: `(1 - beta) L1 + beta (1 - SSIM)`, with `beta` 0.2 by default.
 ///
-/// `render` and `target` are [H, W, 3]; `target` is data and gets no gradient from the SSIM.
+/// `render` and `target` are [H, W, 3]; `target` is data and gets no gradient.
 #[must_use]
 pub fn photometric(render: Tensor<3>, target: Tensor<3>, beta: f64) -> Tensor<1> {
-    let similarity = ssim(render.clone(), &target);
-    l1(render, target) * (1.0 - beta) + (similarity * -1.0 + 1.0) * beta
+    l1_and_ssim(render, &target, [1.0 - beta, -beta]) + beta
 }
 
 /// L1 between the sharp render and the blurry frame after both are averaged over blocks of `factor` x `factor` pixels.

@@ -3,7 +3,8 @@
 use crate::{noise, tensor, values};
 use burn::tensor::{DType, Device, Tensor, activation::softmax};
 use motion_bases::{gram_schmidt, means_acceleration};
-use splat_core::cpu::Real;
+use pulp::{Arch, Simd, WithSimd};
+use splat_core::cpu::{Real, Vectors};
 use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
 
 /// One measure and the f32 errors without and with it; NaN where nothing usable comes out.
@@ -116,11 +117,24 @@ fn thin_ellipse() -> Measure {
 
 /// The vectorised exponential of the inner loops against the library's, both relative to f64.
 fn exponential() -> Measure {
+    struct ExpNeg<'a>(&'a mut [f32]);
+    impl WithSimd for ExpNeg<'_> {
+        type Output = ();
+        fn with_simd<S: Simd>(self, simd: S) {
+            for x in f32::vectors_mut::<S>(self.0) {
+                *x = f32::exp_neg(simd, *x);
+            }
+        }
+    }
+
+    // A multiple of any vector's length.
+    let x: Vec<f32> = (0..200_064).map(|k| k as f32 * 3.998e-4).collect();
+    let mut results = x.clone();
+    Arch::new().dispatch(ExpNeg(&mut results));
     let (mut ours, mut library) = (0.0_f64, 0.0_f64);
-    for k in 0..200_000 {
-        let x = k as f32 * 4e-4;
+    for (x, y) in x.into_iter().zip(results) {
         let exact = (-f64::from(x)).exp();
-        ours = ours.max((f64::from(x.exp_neg()) / exact - 1.0).abs());
+        ours = ours.max((f64::from(y) / exact - 1.0).abs());
         library = library.max((f64::from((-x).exp()) / exact - 1.0).abs());
     }
     Measure {

@@ -22,12 +22,18 @@ const LANES: usize = 4;
 /// Mean SSIM of two pictures [H, W, 3]: 11x11 Gaussian window of sigma 1.5, zeros outside the picture, C1 = 0.01²,
 /// C2 = 0.03², mean over pixels and channels. Shape `[1]`.
 ///
-/// Differentiable in `a`; `b` is data. The gradient is computed together with the value, and only if `a` is tracked.
+/// Differentiable in `a`; `b` is data.
 ///
 /// # Panics
 /// Panics if the shapes differ, if there are not three channels, or if the dtypes differ.
 #[must_use]
 pub fn ssim(a: Tensor<3>, b: &Tensor<3>) -> Tensor<1> {
+    l1_and_ssim(a, b, [0.0, 1.0])
+}
+
+/// Mean absolute difference and mean SSIM of two pictures, each times its weight. The gradient is computed together with the
+/// value, and only if `a` is tracked.
+pub(crate) fn l1_and_ssim(a: Tensor<3>, b: &Tensor<3>, weights: [f64; 2]) -> Tensor<1> {
     let [height, width, channels] = a.dims();
     assert_eq!(
         b.dims(),
@@ -35,17 +41,23 @@ pub fn ssim(a: Tensor<3>, b: &Tensor<3>) -> Tensor<1> {
         "two pictures of one size"
     );
     assert_eq!(channels, CHANNELS, "pictures have three channels");
-    let _span = tracing::trace_span!("ssim").entered();
+    let _span = tracing::trace_span!("image loss").entered();
     let count = (height * width * channels) as f64;
+    let [l1_weight, ssim_weight] = weights;
     with_real!(a.dtype(), T => {
         let (a_values, b_values) = (values::<T, 3>(a.clone()), values::<T, 3>(b.clone()));
         let pixels = lanes(&a_values, &b_values, width, height);
-        let value = sum_first_lane(&pixels, width) / count;
+        let mut value = ssim_weight * sum_first_lane(&pixels, width) / count;
+        if l1_weight != 0.0 {
+            let differences = a_values.iter().zip(&b_values).map(|(a, b)| (*a - *b).magnitude().wide());
+            value += l1_weight * differences.sum::<f64>() / count;
+        }
         let known = a.clone().inner();
         if !a.is_tracked() {
             return Tensor::full([1], value, (&a.device(), a.dtype()));
         }
-        let grad = gradient(&a_values, &b_values, &pixels, width, height, T::of(1.0 / count));
+        let scales = [l1_weight, ssim_weight].map(|w| T::of(w / count));
+        let grad = gradient(&a_values, &b_values, &pixels, width, height, scales);
         // Linear in `a` around its present value: this value, and this gradient.
         ((a - known.clone()) * constant_like(grad, &known)).sum() + value
     })
@@ -200,14 +212,14 @@ impl<T: Real> Similarity<T> {
     }
 }
 
-/// The gradient by `a` of `scale` times the sum of SSIM, [H, W, 3].
+/// The gradient by `a` of the sums of |a - b| and of SSIM, each times its scale, [H, W, 3].
 fn gradient<T: Real>(
     a: &[T],
     b: &[T],
     pixels: &[T],
     width: usize,
     height: usize,
-    scale: T,
+    [l1_scale, ssim_scale]: [T; 2],
 ) -> Vec<T> {
     let row = width * CHANNELS;
     let pad = WINDOW_EDGE * CHANNELS;
@@ -250,7 +262,16 @@ fn gradient<T: Real>(
                     let (dp, dr) = rest.split_at(row);
                     let (a, b) = (&a[y * row..][..row], &b[y * row..][..row]);
                     for k in 0..row {
-                        out[k] = scale * (dm[k] + T::of(2.0) * a[k] * dp[k] + b[k] * dr[k]);
+                        let ssim = dm[k] + T::of(2.0) * a[k] * dp[k] + b[k] * dr[k];
+                        let difference = a[k] - b[k];
+                        let sign = if difference > T::default() {
+                            l1_scale
+                        } else if difference < T::default() {
+                            -l1_scale
+                        } else {
+                            T::default()
+                        };
+                        out[k] = ssim_scale * ssim + sign;
                     }
                 },
             )
