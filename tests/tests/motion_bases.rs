@@ -144,6 +144,11 @@ fn all_frames_at_once_are_the_frames_one_by_one() {
                 .collect();
             assert_close(&of_all, &one, 1e-12, name);
         }
+        let times = [0.0, 2.25, 1.5, 9.0];
+        for (time, at) in times.iter().zip(bases.means_at(&logits, &means, &times)) {
+            let one = values(bases.motion_at(&logits, *time).transform_means(&means));
+            assert_close(&values(at), &one, 1e-12, name);
+        }
     }
 }
 
@@ -158,6 +163,9 @@ fn no_gaussian_is_no_error() {
         let motion = bases.motion_at(&logits, 0.5);
         assert_eq!(motion.rotations.dims(), [0, 3, 3], "{name}");
         assert_eq!(motion.transform_means(&means).dims(), [0, 3], "{name}");
+        let at = bases.means_at(&logits, &means, &[0.0, 0.5]);
+        assert_eq!(at.len(), 2, "{name}: one for each time");
+        assert_eq!(at[1].dims(), [0, 3], "{name}");
         assert_eq!(
             values(means_acceleration(&means, &means, &means, 1.0)),
             [0.0],

@@ -57,13 +57,7 @@ impl MotionBases {
     /// Panics when `time` is NaN, or when the shapes do not fit together.
     #[must_use]
     pub fn motion_at(&self, coefficients: &Tensor<2>, time: f32) -> Motion {
-        assert!(!time.is_nan(), "motion was asked for at a time that is NaN");
-        let [rows, bases] = coefficients.dims();
-        assert!(
-            bases == self.num_bases(),
-            "coefficients are [{rows}, {bases}], but there are {} motion bases",
-            self.num_bases()
-        );
+        let rows = coefficients.dims()[0];
         if rows == 0 {
             let options = (&coefficients.device(), coefficients.dtype());
             return Motion {
@@ -71,27 +65,69 @@ impl MotionBases {
                 translations: Tensor::zeros([0, 3], options),
             };
         }
+        self.motions_at(coefficients, &[time])
+    }
+
+    /// Means [F, 3] of the canonical frame at several times, each [F, 3]: cheaper than one
+    /// [`Self::motion_at`] for each.
+    ///
+    /// # Panics
+    /// As [`Self::motion_at`].
+    #[must_use]
+    pub fn means_at(
+        &self,
+        coefficients: &Tensor<2>,
+        means: &Tensor<2>,
+        times: &[f32],
+    ) -> Vec<Tensor<2>> {
+        let ([rows, _], count) = (means.dims(), times.len());
+        if rows == 0 {
+            return vec![means.clone(); count];
+        }
+        let repeated = means.clone().reshape([rows, 1, 3]).expand([rows, count, 3]);
+        let moved = self
+            .motions_at(coefficients, times)
+            .transform_means(&repeated.reshape([rows * count, 3]))
+            .reshape([rows, count, 3]);
+        (0..count)
+            .map(|t| moved.clone().narrow(1, t, 1).reshape([rows, 3]))
+            .collect()
+    }
+
+    /// The motions of F Gaussians at T times, as those of F T: all times of a Gaussian in a row. F is not 0.
+    fn motions_at(&self, coefficients: &Tensor<2>, times: &[f32]) -> Motion {
+        let [rows, bases] = coefficients.dims();
+        assert!(
+            bases == self.num_bases(),
+            "coefficients are [{rows}, {bases}], but there are {} motion bases",
+            self.num_bases()
+        );
         let last = self.num_frames.saturating_sub(1);
-        let time = f64::from(time).clamp(0.0, last as f64);
-        let (floor, ceil) = (time.floor() as usize, time.ceil() as usize);
         let at = |frames: &Tensor<2>, width: usize| {
             let frame = |t: usize| frames.clone().slice_dim(1, width * t..width * (t + 1));
-            if floor == ceil {
-                frame(floor)
-            } else {
-                // Blending over bases and interpolation over time are linear: their order does not matter.
-                let part = time - floor as f64;
-                frame(floor) * (1.0 - part) + frame(ceil) * part
-            }
+            let times = times.iter().map(|&time| {
+                assert!(!time.is_nan(), "motion was asked for at a time that is NaN");
+                let time = f64::from(time).clamp(0.0, last as f64);
+                let (floor, ceil) = (time.floor() as usize, time.ceil() as usize);
+                if floor == ceil {
+                    frame(floor)
+                } else {
+                    // Blending over bases and interpolation over time are linear: their order does not matter.
+                    let part = time - floor as f64;
+                    frame(floor) * (1.0 - part) + frame(ceil) * part
+                }
+            });
+            Tensor::cat(times.collect(), 1) // [B, T * width]
         };
+        let rows = rows * times.len();
         let weights = softmax(coefficients.clone(), 1); // [F, B]
         // Clamped here already, so that a product cannot overflow.
         let six = weights
             .clone()
-            .matmul(at(&self.rots, 6).clamp(-MAX_ENTRY, MAX_ENTRY)); // [F, 6]
+            .matmul(at(&self.rots, 6).clamp(-MAX_ENTRY, MAX_ENTRY)); // [F, T * 6]
         Motion {
-            rotations: gram_schmidt(six),
-            translations: weights.matmul(at(&self.transls, 3)), // [F, 3]
+            rotations: gram_schmidt(six.reshape([rows, 6])),
+            translations: weights.matmul(at(&self.transls, 3)).reshape([rows, 3]),
         }
     }
 }

@@ -237,18 +237,14 @@ impl Trainer {
         }
         let middle = view.time.clamp(1.0, last - 1.0);
         let means = model.dynamic_means();
-        let at = |time: f32| {
-            motion
-                .bases
-                .motion_at(&motion.coefficients, time)
-                .transform_means(&means)
-        };
-        let (before, now, after) = (at(middle - 1.0), at(middle), at(middle + 1.0));
+        let times = [middle - 1.0, middle, middle + 1.0];
+        let at = motion.bases.means_at(&motion.coefficients, &means, &times);
+        let [before, now, after] = [&at[0], &at[1], &at[2]];
         objective.add("means_acceleration", weights.means_acceleration, || {
-            motion_bases::means_acceleration(&before, &now, &after, size)
+            motion_bases::means_acceleration(before, now, after, size)
         });
         objective.add("along_ray", weights.along_ray, || {
-            motion_bases::along_ray(&before, &now, &after, view.center(), size)
+            motion_bases::along_ray(before, now, after, view.center(), size)
         });
     }
 }
