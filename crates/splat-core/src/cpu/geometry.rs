@@ -1,6 +1,11 @@
-//! One Gaussian's way from the world to an ellipse in the image, with all intermediate values, for
-//! the forward and the backward pass alike.
+//! The way of Gaussians from the world to ellipses in the image, several at a time, with all intermediate
+//! values, for the forward and the backward pass alike.
 
+use std::ops::Range;
+
+use pulp::Simd;
+
+use super::packs::{Number, Pack, Where, array};
 use super::{LOW_PASS, Real, SplatSlices, View};
 
 /// Below this a quaternion's norm counts as this much: a zero quaternion is the identity.
@@ -46,77 +51,95 @@ impl<T: Real> Lens<T> {
     }
 }
 
-/// The ellipse of a Gaussian in the image and what led to it.
+/// The ellipses of Gaussians in the image and what led to them.
 ///
 /// With the 2D covariance [[xx, xy], [xy, yy]], sigma(dx, dy) = p² + q², where
 /// p = sqrt(1/2 / e) (dx - rho dy), q = sqrt(1/2 / yy) dy, rho = xy / yy, e = xx - xy² / yy.
 /// This is half the Mahalanobis distance as a sum of squares: nothing cancels for thin ellipses,
 /// where a conic's three products do.
 #[derive(Clone, Debug)]
-pub(super) struct Geometry<T> {
+pub(super) struct Geometry<T: Real, S: Simd> {
+    /// In front of the near plane, and nothing overflows. The other values are of no use elsewhere.
+    pub(super) visible: Where<T, S>,
     /// Mean in camera space.
-    pub(super) point: [T; 3],
+    pub(super) point: [Pack<T, S>; 3],
     /// Mean in pixels.
-    pub(super) mean2d: [T; 2],
+    pub(super) mean2d: [Pack<T, S>; 2],
     /// x/z and y/z as clamped for the Jacobian, and whether they were inside the range.
-    pub(super) tan: [T; 2],
-    pub(super) inside: [bool; 2],
-    /// Unit quaternion, the divisor that made it, and whether that was the floor.
-    pub(super) unit: [T; 4],
-    pub(super) norm: T,
-    pub(super) floored: bool,
+    pub(super) tan: [Pack<T, S>; 2],
+    pub(super) inside: [Where<T, S>; 2],
+    /// Unit quaternion, the divisor that made it, and whether that was more than the floor.
+    pub(super) unit: [Pack<T, S>; 4],
+    pub(super) norm: Pack<T, S>,
+    pub(super) above_floor: Where<T, S>,
     /// Matrix of the quaternion, and the whole rotation left * quaternion, row-major.
-    pub(super) quat_matrix: [T; 9],
-    pub(super) rotation: [T; 9],
+    pub(super) quat_matrix: [Pack<T, S>; 9],
+    pub(super) rotation: [Pack<T, S>; 9],
     /// R_pose * rotation.
-    pub(super) in_cam: [T; 9],
-    pub(super) scale: [T; 3],
+    pub(super) in_cam: [Pack<T, S>; 9],
+    pub(super) scale: [Pack<T, S>; 3],
     /// The two rows of J * `in_cam` * diag(scale): the covariance is their Gram matrix + low-pass.
-    pub(super) rows: [[T; 3]; 2],
+    pub(super) rows: [[Pack<T, S>; 3]; 2],
     /// rows[0] - rho * rows`[1]`.
-    pub(super) residual: [T; 3],
-    pub(super) xx: T,
-    pub(super) yy: T,
-    pub(super) rho: T,
-    pub(super) e: T,
+    pub(super) residual: [Pack<T, S>; 3],
+    pub(super) xx: Pack<T, S>,
+    pub(super) yy: Pack<T, S>,
+    pub(super) rho: Pack<T, S>,
+    pub(super) e: Pack<T, S>,
+    /// sigma = (l11 dx + l21 dy)² + (l22 dy)².
+    pub(super) l11: Pack<T, S>,
+    pub(super) l21: Pack<T, S>,
+    pub(super) l22: Pack<T, S>,
 }
 
 #[inline(always)]
-pub(super) fn mul3<T: Real>(a: &[T; 9], b: &[T; 9]) -> [T; 9] {
-    std::array::from_fn(|k| {
-        let (i, j) = (k / 3, k % 3);
-        a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
-    })
+pub(super) fn mul3<N: Number>(a: &[N; 9], b: &[N; 9]) -> [N; 9] {
+    array(
+        #[inline(always)]
+        |k| {
+            let (i, j) = (k / 3, k % 3);
+            a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
+        },
+    )
 }
 
 /// aᵀ b.
 #[inline(always)]
-pub(super) fn transpose_mul3<T: Real>(a: &[T; 9], b: &[T; 9]) -> [T; 9] {
-    std::array::from_fn(|k| {
-        let (i, j) = (k / 3, k % 3);
-        a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j]
-    })
+pub(super) fn transpose_mul3<N: Number>(a: &[N; 9], b: &[N; 9]) -> [N; 9] {
+    array(
+        #[inline(always)]
+        |k| {
+            let (i, j) = (k / 3, k % 3);
+            a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j]
+        },
+    )
 }
 
 /// a bᵀ.
 #[inline(always)]
-pub(super) fn mul_transpose3<T: Real>(a: &[T; 9], b: &[T; 9]) -> [T; 9] {
-    std::array::from_fn(|k| {
-        let (i, j) = (k / 3, k % 3);
-        a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2]
-    })
+pub(super) fn mul_transpose3<N: Number>(a: &[N; 9], b: &[N; 9]) -> [N; 9] {
+    array(
+        #[inline(always)]
+        |k| {
+            let (i, j) = (k / 3, k % 3);
+            a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2]
+        },
+    )
 }
 
 /// The rotation part of a [3, 4] pose.
 #[inline(always)]
-pub(super) fn pose_rotation<T: Real>(pose: &[T; 12]) -> [T; 9] {
-    std::array::from_fn(|k| pose[4 * (k / 3) + k % 3])
+pub(super) fn pose_rotation<N: Copy>(pose: &[N; 12]) -> [N; 9] {
+    array(
+        #[inline(always)]
+        |k| pose[4 * (k / 3) + k % 3],
+    )
 }
 
 #[inline(always)]
-fn quaternion_matrix<T: Real>([w, x, y, z]: [T; 4]) -> [T; 9] {
-    let one = T::ONE;
-    let two = T::of(2.0);
+fn quaternion_matrix<N: Number>([w, x, y, z]: [N; 4]) -> [N; 9] {
+    let one = w.like(1.0);
+    let two = w.like(2.0);
     [
         one - two * (y * y + z * z),
         two * (x * y - w * z),
@@ -130,11 +153,14 @@ fn quaternion_matrix<T: Real>([w, x, y, z]: [T; 4]) -> [T; 9] {
     ]
 }
 
-/// Gradient of an unnormalised quaternion from that of its matrix.
+/// Gradient of unnormalised quaternions from that of their matrices.
 #[inline(always)]
-pub(super) fn quaternion_gradient<T: Real>(g: &Geometry<T>, v: &[T; 9]) -> [T; 4] {
+pub(super) fn quaternion_gradient<T: Real, S: Simd>(
+    g: &Geometry<T, S>,
+    v: &[Pack<T, S>; 9],
+) -> [Pack<T, S>; 4] {
     let [w, x, y, z] = g.unit;
-    let two = T::of(2.0);
+    let two = w.like(2.0);
     let (s01, s02, s12) = (v[1] + v[3], v[2] + v[6], v[5] + v[7]);
     let (a21, a02, a10) = (v[7] - v[5], v[2] - v[6], v[3] - v[1]);
     let unit = [
@@ -143,99 +169,194 @@ pub(super) fn quaternion_gradient<T: Real>(g: &Geometry<T>, v: &[T; 9]) -> [T; 4
         two * (x * s01 + z * s12 + w * a02 - two * y * (v[0] + v[8])),
         two * (x * s02 + y * s12 + w * a10 - two * z * (v[0] + v[4])),
     ];
-    let along = if g.floored {
-        T::ZERO
-    } else {
-        w * unit[0] + x * unit[1] + y * unit[2] + z * unit[3]
-    };
-    std::array::from_fn(|k| (unit[k] - g.unit[k] * along) / g.norm)
+    let along = w * unit[0] + x * unit[1] + y * unit[2] + z * unit[3];
+    let along = g.above_floor.select(along, w.like(0.0));
+    array(
+        #[inline(always)]
+        |k| (unit[k] - g.unit[k] * along) / g.norm,
+    )
 }
 
-/// What the projection of one Gaussian reads.
-pub(super) struct Shape<'a, T> {
-    pub(super) mean: [T; 3],
-    pub(super) quat: [T; 4],
-    /// Matrix multiplied from the left of the quaternion's.
-    pub(super) left: Option<&'a [T]>,
-    pub(super) log_scale: [T; 3],
+/// What the projection of Gaussians reads.
+pub(super) struct Shapes<T: Real, S: Simd> {
+    pub(super) mean: [Pack<T, S>; 3],
+    quat: [Pack<T, S>; 4],
+    /// Matrix multiplied from the left of the quaternion's, where one of them has it.
+    pub(super) left: Option<[Pack<T, S>; 9]>,
+    log_scale: [Pack<T, S>; 3],
 }
 
-impl<'a, T: Real> Shape<'a, T> {
+/// Column `k` of a row-major table, for rows that are repeated where a vector has more.
+#[inline(always)]
+pub(super) fn column<T: Real, S: Simd>(
+    simd: S,
+    table: &[T],
+    width: usize,
+    rows: &Range<usize>,
+    k: usize,
+) -> Pack<T, S> {
+    let table = &table[rows.start * width..rows.end * width];
+    let last = rows.len() - 1;
+    Pack::from_fn(
+        simd,
+        #[inline(always)]
+        |l| table[l.min(last) * width + k],
+    )
+}
+
+impl<T: Real, S: Simd> Shapes<T, S> {
+    /// Of the Gaussians in `rows`, as many as a vector has or fewer.
     #[inline(always)]
-    pub(super) fn of_row(splats: &SplatSlices<'a, T>, row: usize) -> Self {
+    pub(super) fn new(simd: S, splats: &SplatSlices<'_, T>, rows: &Range<usize>) -> Self {
+        let num_left = splats.num_left();
+        let left = (rows.start < num_left).then(|| {
+            array(
+                #[inline(always)]
+                |k| {
+                    let identity = if k % 4 == 0 { T::ONE } else { T::ZERO };
+                    Pack::from_fn(
+                        simd,
+                        #[inline(always)]
+                        |l| {
+                            let row = rows.start + l;
+                            if row < num_left {
+                                splats.left_rotations[9 * row + k]
+                            } else {
+                                identity
+                            }
+                        },
+                    )
+                },
+            )
+        });
         Self {
-            mean: std::array::from_fn(|k| splats.means[3 * row + k]),
-            quat: std::array::from_fn(|k| splats.quats[4 * row + k]),
-            left: (row < splats.num_left()).then(|| &splats.left_rotations[9 * row..9 * row + 9]),
-            log_scale: std::array::from_fn(|k| splats.log_scales[3 * row + k]),
+            mean: array(
+                #[inline(always)]
+                |k| column(simd, splats.means, 3, rows, k),
+            ),
+            quat: array(
+                #[inline(always)]
+                |k| column(simd, splats.quats, 4, rows, k),
+            ),
+            left,
+            log_scale: array(
+                #[inline(always)]
+                |k| column(simd, splats.log_scales, 3, rows, k),
+            ),
         }
     }
 }
 
-/// Projects a Gaussian; `None` when it is not in front of the near plane or overflows.
+/// Projects Gaussians.
 #[inline(always)]
-pub(super) fn project_one<T: Real>(
+pub(super) fn project_some<T: Real, S: Simd>(
+    simd: S,
     lens: &Lens<T>,
     pose: &[T; 12],
-    shape: &Shape<'_, T>,
-) -> Option<Geometry<T>> {
-    let Shape {
+    shapes: &Shapes<T, S>,
+) -> Geometry<T, S> {
+    let splat = |value| Pack::splat(simd, value);
+    let n = |value| splat(T::of(value));
+    let pose: [_; 12] = array(
+        #[inline(always)]
+        |k| splat(pose[k]),
+    );
+    let Shapes {
         mean,
         quat,
         left,
         log_scale,
-    } = *shape;
-    let point: [T; 3] = std::array::from_fn(|i| {
-        pose[4 * i] * mean[0]
-            + pose[4 * i + 1] * mean[1]
-            + pose[4 * i + 2] * mean[2]
-            + pose[4 * i + 3]
-    });
+    } = shapes;
+    let point: [_; 3] = array(
+        #[inline(always)]
+        |i| {
+            pose[4 * i] * mean[0]
+                + pose[4 * i + 1] * mean[1]
+                + pose[4 * i + 2] * mean[2]
+                + pose[4 * i + 3]
+        },
+    );
     let [x, y, z] = point;
-    if !(z > lens.near && z.is_finite()) {
-        return None;
-    }
-    let inv_z = T::ONE / z;
+    let inv_z = n(1.0) / z;
     let slope = [x * inv_z, y * inv_z];
-    let mean2d = [lens.fx * slope[0] + lens.cx, lens.fy * slope[1] + lens.cy];
-    let inside = [0, 1].map(|k| slope[k] >= lens.min[k] && slope[k] <= lens.max[k]);
-    let tan = [0, 1].map(|k| slope[k].max(lens.min[k]).min(lens.max[k]));
+    let (fx, fy) = (splat(lens.fx), splat(lens.fy));
+    let mean2d = [
+        fx * slope[0] + splat(lens.cx),
+        fy * slope[1] + splat(lens.cy),
+    ];
+    let tan: [_; 2] = array(
+        #[inline(always)]
+        |k| slope[k].max(splat(lens.min[k])).min(splat(lens.max[k])),
+    );
+    // Inside is where the clamp changed nothing.
+    let inside: [_; 2] = array(
+        #[inline(always)]
+        |k| {
+            (tan[k] - slope[k])
+                .abs()
+                .less(n(f64::from(f32::MIN_POSITIVE)))
+        },
+    );
 
     // Scaled by the largest entry first, so that neither large nor small entries leave the range.
-    let largest = quat.iter().fold(T::ZERO, |m, q| m.max(q.abs()));
-    let floored = largest <= T::of(NORM_FLOOR);
-    let (unit, norm) = if floored {
-        (quat.map(|q| q / T::of(NORM_FLOOR)), T::of(NORM_FLOOR))
-    } else {
-        let q = quat.map(|q| q / largest);
-        let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
-        (q.map(|q| q / length), length * largest)
-    };
+    let floor = n(NORM_FLOOR);
+    let largest = (quat[0].abs().max(quat[1].abs())).max(quat[2].abs().max(quat[3].abs()));
+    let above_floor = floor.less(largest);
+    let q: [_; 4] = array(
+        #[inline(always)]
+        |k| quat[k] / largest,
+    );
+    let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
     // Under the floor the vector part shrinks to nothing and the matrix to the identity.
+    let unit: [_; 4] = array(
+        #[inline(always)]
+        |k| above_floor.select(q[k] / length, quat[k] / floor),
+    );
+    let norm = above_floor.select(length * largest, floor);
     let quat_matrix = quaternion_matrix(unit);
     let rotation = match left {
-        Some(l) => mul3(&std::array::from_fn(|k| l[k]), &quat_matrix),
+        Some(left) => mul3(left, &quat_matrix),
         None => quat_matrix,
     };
-    let in_cam = mul3(&pose_rotation(pose), &rotation);
+    let in_cam = mul3(&pose_rotation(&pose), &rotation);
 
-    let scale = log_scale.map(T::exp);
-    let (j0, j1) = (lens.fx * inv_z, lens.fy * inv_z);
+    let scale: [_; 3] = array(
+        #[inline(always)]
+        |k| log_scale[k].map(T::exp),
+    );
+    let (j0, j1) = (fx * inv_z, fy * inv_z);
     let (j02, j12) = (-j0 * tan[0], -j1 * tan[1]);
-    let a0: [T; 3] = std::array::from_fn(|k| j0 * in_cam[k] + j02 * in_cam[6 + k]);
-    let a1: [T; 3] = std::array::from_fn(|k| j1 * in_cam[3 + k] + j12 * in_cam[6 + k]);
-    let m0: [T; 3] = std::array::from_fn(|k| a0[k] * scale[k]);
-    let m1: [T; 3] = std::array::from_fn(|k| a1[k] * scale[k]);
+    let a0: [_; 3] = array(
+        #[inline(always)]
+        |k| j0 * in_cam[k] + j02 * in_cam[6 + k],
+    );
+    let a1: [_; 3] = array(
+        #[inline(always)]
+        |k| j1 * in_cam[3 + k] + j12 * in_cam[6 + k],
+    );
+    let m0: [_; 3] = array(
+        #[inline(always)]
+        |k| a0[k] * scale[k],
+    );
+    let m1: [_; 3] = array(
+        #[inline(always)]
+        |k| a1[k] * scale[k],
+    );
 
-    let low = T::of(LOW_PASS);
+    let low = n(LOW_PASS);
     let t0 = m0[0] * m0[0] + m0[1] * m0[1] + m0[2] * m0[2];
     let t1 = m1[0] * m1[0] + m1[1] * m1[1] + m1[2] * m1[2];
     let (xx, yy) = (t0 + low, t1 + low);
     let rho = (m0[0] * m1[0] + m0[1] * m1[1] + m0[2] * m1[2]) / yy;
     // det = Σ minors² + low (t0 + t1) + low² (Cauchy-Binet): a sum of positive terms, so that a
     // needle's determinant keeps its digits. The minors are taken before scaling for the same reason.
-    let minor = |i: usize, j: usize| scale[i] * scale[j] * (a0[i] * a1[j] - a0[j] * a1[i]);
-    let (n01, n02, n12) = (minor(0, 1), minor(0, 2), minor(1, 2));
+    let [n01, n02, n12]: [_; 3] = array(
+        #[inline(always)]
+        |k| {
+            let (i, j) = [(0, 1), (0, 2), (1, 2)][k];
+            scale[i] * scale[j] * (a0[i] * a1[j] - a0[j] * a1[i])
+        },
+    );
     let root = yy.sqrt();
     let (r01, r02, r12) = (n01 / root, n02 / root, n12 / root);
     let e = r01 * r01 + r02 * r02 + r12 * r12 + low * (t0 / yy) + low;
@@ -246,17 +367,21 @@ pub(super) fn project_one<T: Real>(
     ];
     // One sum finds every overflow: infinities of either sign leave it infinite or NaN.
     let sum = e + xx + rho.abs() + residual[0].abs() + residual[1].abs() + residual[2].abs();
-    if !sum.is_finite() || !(mean2d[0].abs() + mean2d[1].abs()).is_finite() {
-        return None;
-    }
-    Some(Geometry {
+    let visible = splat(lens.near)
+        .less(z)
+        .and(z.is_finite())
+        .and(sum.is_finite())
+        .and((mean2d[0].abs() + mean2d[1].abs()).is_finite());
+    let l11 = (n(0.5) / e).sqrt();
+    Geometry {
+        visible,
         point,
         mean2d,
         tan,
         inside,
         unit,
         norm,
-        floored,
+        above_floor,
         quat_matrix,
         rotation,
         in_cam,
@@ -267,20 +392,38 @@ pub(super) fn project_one<T: Real>(
         yy,
         rho,
         e,
-    })
+        l11,
+        l21: -rho * l11,
+        l22: (n(0.5) / yy).sqrt(),
+    }
 }
 
-/// Direction from the camera's centre to a mean (unit), its length, and the centre -Rᵀ t.
+/// Directions from the camera's centre to means (unit), and their lengths. The centre is -Rᵀ t.
 #[inline(always)]
-pub(super) fn view_direction<T: Real>(pose: &[T; 12], mean: [T; 3]) -> ([T; 3], T) {
+pub(super) fn view_directions<T: Real, S: Simd>(
+    pose: &[T; 12],
+    mean: [Pack<T, S>; 3],
+) -> ([Pack<T, S>; 3], Pack<T, S>) {
     // d = mean - centre = mean + Rᵀ t, normalised without leaving the range of the float type.
-    let d: [T; 3] = std::array::from_fn(|j| {
-        mean[j] + pose[j] * pose[3] + pose[4 + j] * pose[7] + pose[8 + j] * pose[11]
-    });
-    let largest = d.iter().fold(T::of(NORM_FLOOR), |m, v| m.max(v.abs()));
-    let s = d.map(|v| v / largest);
-    let length = (s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
-        .sqrt()
-        .max(T::of(NORM_FLOOR));
-    (s.map(|v| v / length), length * largest)
+    let d: [_; 3] = array(
+        #[inline(always)]
+        |j| {
+            let back = pose[j] * pose[3] + pose[4 + j] * pose[7] + pose[8 + j] * pose[11];
+            mean[j] + mean[j].like(back.to_f64())
+        },
+    );
+    let floor = mean[0].like(NORM_FLOOR);
+    let largest = floor.max(d[0].abs()).max(d[1].abs()).max(d[2].abs());
+    let s: [_; 3] = array(
+        #[inline(always)]
+        |k| d[k] / largest,
+    );
+    let length = (s[0] * s[0] + s[1] * s[1] + s[2] * s[2]).sqrt().max(floor);
+    (
+        array(
+            #[inline(always)]
+            |k| s[k] / length,
+        ),
+        length * largest,
+    )
 }

@@ -9,6 +9,7 @@
 mod backward;
 mod blocks;
 mod geometry;
+mod packs;
 mod project;
 mod project_backward;
 mod raster;

@@ -1,9 +1,12 @@
 //! Projection, culling and depth sort.
 
+use std::ops::Range;
+
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::geometry::{Lens, Shape, project_one, view_direction};
+use super::geometry::{Lens, Shapes, column, project_some, view_directions};
+use super::packs::{Number, Pack, WIDEST, arrays};
 use super::tiles::{TileLists, pixel_range};
 use super::{MIN_ALPHA, Real, SplatSlices, View, sh};
 use crate::SplatError;
@@ -157,20 +160,13 @@ pub fn project<T: Real>(
     })
 }
 
-/// SH + 0.5 per channel, before the clamp at 0.
+/// SH + 0.5 per channel, before the clamp at 0, of the Gaussian in lane `l`.
 #[inline(always)]
-pub(super) fn sh_color<T: Real>(
-    splats: &SplatSlices<'_, T>,
-    coefficients: usize,
-    row: usize,
-    used: usize,
-    basis: &[T; 16],
-) -> [T; 3] {
-    let stored = &splats.sh[row * coefficients * 3..(row + 1) * coefficients * 3];
+pub(super) fn sh_color<T: Real>(stored: &[T], basis: &[[T; WIDEST]; 16], l: usize) -> [T; 3] {
     let mut color = [T::of(0.5); 3];
-    for (b, c) in basis[..used].iter().zip(stored.chunks_exact(3)) {
+    for (b, c) in basis.iter().zip(stored.chunks_exact(3)) {
         for k in 0..3 {
-            color[k] += *b * c[k];
+            color[k] += b[l] * c[k];
         }
     }
     color
@@ -180,76 +176,94 @@ struct ProjectRows<'a, T> {
     splats: &'a SplatSlices<'a, T>,
     view: &'a View<T>,
     lens: &'a Lens<T>,
-    rows: std::ops::Range<usize>,
+    rows: Range<usize>,
 }
 
 impl<T: Real> WithSimd for ProjectRows<'_, T> {
     type Output = Result<Vec<(Splat<T>, Extent<T>)>, SplatError>;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         check_finite(self.splats, self.rows.clone())?;
         let mut visible = Vec::with_capacity(self.rows.len());
-        for row in self.rows {
-            visible.extend(project_row(self.splats, self.view, self.lens, row));
+        for first in self.rows.clone().step_by(T::lanes::<S>()) {
+            let rows = first..(first + T::lanes::<S>()).min(self.rows.end);
+            project_rows(simd, self.splats, self.view, self.lens, &rows, &mut visible);
         }
         Ok(visible)
     }
 }
 
+/// Projects as many Gaussians as a vector has, or fewer; appends those that can be seen.
 #[inline(always)]
-fn project_row<T: Real>(
+fn project_rows<T: Real, S: Simd>(
+    simd: S,
     splats: &SplatSlices<'_, T>,
     view: &View<T>,
     lens: &Lens<T>,
-    row: usize,
-) -> Option<(Splat<T>, Extent<T>)> {
-    let opacity = sigmoid(splats.opacity_logits[row]);
-    if opacity < T::of(MIN_ALPHA) {
-        return None;
-    }
-    let shape = Shape::of_row(splats, row);
-    let g = project_one(lens, &view.cam_from_world, &shape)?;
-    let sigma_max = (opacity / T::of(MIN_ALPHA)).ln().max(T::ZERO);
+    rows: &Range<usize>,
+    visible: &mut Vec<(Splat<T>, Extent<T>)>,
+) {
+    let shapes = Shapes::new(simd, splats, rows);
+    let g = project_some(simd, lens, &view.cam_from_world, &shapes);
+    let opacity = column(simd, splats.opacity_logits, 1, rows, 0).map(sigmoid);
+    let min_alpha = Pack::splat(simd, T::of(MIN_ALPHA));
+    let n = |value| min_alpha.like(value);
+    let sigma_max = (opacity / min_alpha).map(T::ln).max(n(0.0));
     // Enlarged beyond rounding: the threshold is decided per pixel, not here.
-    let reach =
-        |variance: T| (T::of(2.0) * sigma_max * variance).sqrt() * T::of(1.001) + T::of(0.01);
-    let (half_width, half_height) = (reach(g.xx), reach(g.yy));
-    let [mx, my] = g.mean2d;
-    let columns = pixel_range(mx - half_width, mx + half_width, view.camera.width)?;
-    let rows = pixel_range(my - half_height, my + half_height, view.camera.height)?;
-
-    let (direction, _) = view_direction(&view.cam_from_world, shape.mean);
-    let basis = sh::basis(view.sh_degree, direction);
-    let used = sh::num_coefficients(view.sh_degree);
-    let color =
-        sh_color(splats, splats.sh_coefficients(), row, used, &basis).map(|c| c.max(T::ZERO));
-    if !(color[0] + color[1] + color[2]).is_finite() {
-        return None;
-    }
-    let l11 = (T::of(0.5) / g.e).sqrt();
-    let middle = T::of(0.5) * (g.xx + g.yy);
-    let spread = T::of(0.5) * (g.xx - g.yy);
+    let reach = |variance| (n(2.0) * sigma_max * variance).sqrt() * n(1.001) + n(0.01);
+    let half = [reach(g.xx), reach(g.yy)];
+    let middle = n(0.5) * (g.xx + g.yy);
+    let spread = n(0.5) * (g.xx - g.yy);
     let xy = g.rho * g.yy;
     let larger = middle + (spread * spread + xy * xy).sqrt();
-    let splat = Splat {
-        mean: g.mean2d,
-        l11,
-        l21: -g.rho * l11,
-        l22: (T::of(0.5) / g.yy).sqrt(),
-        opacity,
-        channels: [color[0], color[1], color[2], g.point[2]],
-        // The sides of an image are at most 65,535 px.
-        columns: [columns.0 as u16, columns.1 as u16],
-        rows: [rows.0 as u16, rows.1 as u16],
-        row: row as u32,
-    };
-    let extent = Extent {
-        sigma_max,
-        half: [half_width, half_height],
-        radius: (3.0 * larger.to_f64().sqrt()).min(f64::from(f32::MAX)) as f32,
-    };
-    Some((splat, extent))
+
+    let (direction, _) = view_directions(&view.cam_from_world, shapes.mean);
+    let basis = arrays(sh::basis(view.sh_degree, direction));
+    let used = sh::num_coefficients(view.sh_degree) * 3;
+    let stored = splats.sh_coefficients() * 3;
+
+    let seen = g.visible.to_array();
+    let [opacity, sigma_max, larger] = arrays([opacity, sigma_max, larger]);
+    let (half, mean) = (arrays(half), arrays(g.mean2d));
+    let [l11, l21, l22, depth] = arrays([g.l11, g.l21, g.l22, g.point[2]]);
+    for (l, row) in rows.clone().enumerate() {
+        if !seen[l] || opacity[l] < T::of(MIN_ALPHA) {
+            continue;
+        }
+        let range = |axis: usize, count| {
+            let (mean, half) = (mean[axis][l], half[axis][l]);
+            let (from, to) = pixel_range(mean - half, mean + half, count)?;
+            // The sides of an image are at most 65,535 px.
+            Some([from as u16, to as u16])
+        };
+        let columns = range(0, view.camera.width);
+        let (Some(columns), Some(rows)) = (columns, range(1, view.camera.height)) else {
+            continue;
+        };
+        let sh = &splats.sh[row * stored..][..used];
+        let color = sh_color(sh, &basis, l).map(|c| c.max(T::ZERO));
+        if !(color[0] + color[1] + color[2]).is_finite() {
+            continue;
+        }
+        let splat = Splat {
+            mean: [mean[0][l], mean[1][l]],
+            l11: l11[l],
+            l21: l21[l],
+            l22: l22[l],
+            opacity: opacity[l],
+            channels: [color[0], color[1], color[2], depth[l]],
+            columns,
+            rows,
+            row: row as u32,
+        };
+        let extent = Extent {
+            sigma_max: sigma_max[l],
+            half: [half[0][l], half[1][l]],
+            radius: (3.0 * larger[l].to_f64().sqrt()).min(f64::from(f32::MAX)) as f32,
+        };
+        visible.push((splat, extent));
+    }
 }
 
 #[inline(always)]
@@ -261,10 +275,10 @@ pub(super) fn sigmoid<T: Real>(x: T) -> T {
 #[inline(always)]
 fn check_finite<T: Real>(
     splats: &SplatSlices<'_, T>,
-    rows: std::ops::Range<usize>,
+    rows: Range<usize>,
 ) -> Result<(), SplatError> {
     let left = rows.start.min(splats.num_left())..rows.end.min(splats.num_left());
-    let inputs: [(&'static str, &[T], usize, std::ops::Range<usize>); 6] = [
+    let inputs: [(&'static str, &[T], usize, Range<usize>); 6] = [
         ("means", splats.means, 3, rows.clone()),
         ("quats", splats.quats, 4, rows.clone()),
         ("left_rotations", splats.left_rotations, 9, left),

@@ -1,6 +1,6 @@
 //! Real spherical harmonics up to degree 3 with the signs and constants of 3DGS.
 
-use super::Real;
+use super::packs::{Number, array};
 
 const C0: f64 = 0.282_094_791_773_878_14;
 const C1: f64 = 0.488_602_511_902_919_9;
@@ -27,10 +27,10 @@ pub(super) fn num_coefficients(degree: usize) -> usize {
 }
 
 /// Values of the basis functions in a unit direction; those over `degree` stay 0.
-#[inline]
-pub(super) fn basis<T: Real>(degree: usize, [x, y, z]: [T; 3]) -> [T; 16] {
-    let c = T::of;
-    let mut b = [T::ZERO; 16];
+#[inline(always)]
+pub(super) fn basis<N: Number>(degree: usize, [x, y, z]: [N; 3]) -> [N; 16] {
+    let c = |value| x.like(value);
+    let mut b = [c(0.0); 16];
     b[0] = c(C0);
     if degree == 0 {
         return b;
@@ -62,11 +62,15 @@ pub(super) fn basis<T: Real>(degree: usize, [x, y, z]: [T; 3]) -> [T; 16] {
 }
 
 /// Gradient of Σ_b weight_b basis_b with respect to the direction (as three free numbers).
-#[inline]
-pub(super) fn direction_gradient<T: Real>(degree: usize, [x, y, z]: [T; 3], w: &[T; 16]) -> [T; 3] {
-    let c = T::of;
+#[inline(always)]
+pub(super) fn direction_gradient<N: Number>(
+    degree: usize,
+    [x, y, z]: [N; 3],
+    w: &[N; 16],
+) -> [N; 3] {
+    let c = |value| x.like(value);
     if degree == 0 {
-        return [T::ZERO; 3];
+        return [c(0.0); 3];
     }
     let c1 = c(C1);
     let mut g = [-c1 * w[3], -c1 * w[1], c1 * w[2]];
@@ -84,7 +88,10 @@ pub(super) fn direction_gradient<T: Real>(degree: usize, [x, y, z]: [T; 3], w: &
     }
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let (three, four, six, eight) = (c(3.0), c(4.0), c(6.0), c(8.0));
-    let a: [T; 7] = std::array::from_fn(|k| c(C3[k]) * w[9 + k]);
+    let a: [N; 7] = array(
+        #[inline(always)]
+        |k| c(C3[k]) * w[9 + k],
+    );
     g[0] += a[0] * six * x * y + a[1] * y * z - a[2] * two * x * y - a[3] * six * x * z
         + a[4] * (four * zz - three * xx - yy)
         + a[5] * two * x * z
@@ -106,6 +113,12 @@ pub(super) fn direction_gradient<T: Real>(degree: usize, [x, y, z]: [T; 3], w: &
 mod tests {
     use super::*;
 
+    impl Number for f64 {
+        fn like(self, value: f64) -> Self {
+            value
+        }
+    }
+
     #[test]
     fn basis_is_orthonormal_on_the_sphere() {
         // Products of degree-3 functions are polynomials of degree 6: Gauss-Legendre with 8 nodes in
@@ -121,7 +134,7 @@ mod tests {
             for z in [node, -node] {
                 for k in 0..16 {
                     let phi = std::f64::consts::TAU * f64::from(k) / 16.0;
-                    let r = (1.0 - z * z).sqrt();
+                    let r = f64::sqrt(1.0 - z * z);
                     let b = basis(3, [r * phi.cos(), r * phi.sin(), z]);
                     for i in 0..16 {
                         for j in 0..16 {

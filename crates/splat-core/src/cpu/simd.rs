@@ -26,6 +26,12 @@ pub trait Vectors: Sized {
     fn vmul<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     /// a / b.
     fn vdiv<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    /// -a.
+    fn vneg<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S>;
+    /// |a|.
+    fn vabs<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S>;
+    /// Square root.
+    fn vsqrt<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S>;
     /// a b + c.
     fn mul_add<S: Simd>(
         simd: S,
@@ -59,7 +65,7 @@ pub trait Vectors: Sized {
 macro_rules! vector_ops {
     (
         $vector:ident, $mask:ident, $as_simd:ident, $as_mut_simd:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident,
-        $div:ident, $mul_add:ident, $less:ident, $first_true:ident, $and:ident, $select:ident, $sum:ident
+        $div:ident, $neg:ident, $abs:ident, $sqrt:ident, $mul_add:ident, $less:ident, $first_true:ident, $and:ident, $select:ident, $sum:ident
     ) => {
         type Vector<S: Simd> = S::$vector;
         type Mask<S: Simd> = S::$mask;
@@ -90,6 +96,18 @@ macro_rules! vector_ops {
         #[inline(always)]
         fn vdiv<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S> {
             simd.$div(a, b)
+        }
+        #[inline(always)]
+        fn vneg<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S> {
+            simd.$neg(a)
+        }
+        #[inline(always)]
+        fn vabs<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S> {
+            simd.$abs(a)
+        }
+        #[inline(always)]
+        fn vsqrt<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S> {
+            simd.$sqrt(a)
         }
         #[inline(always)]
         fn mul_add<S: Simd>(
@@ -139,6 +157,9 @@ impl Vectors for f32 {
         sub_f32s,
         mul_f32s,
         div_f32s,
+        neg_f32s,
+        abs_f32s,
+        sqrt_f32s,
         mul_add_e_f32s,
         less_than_f32s,
         first_true_m32s,
@@ -191,6 +212,9 @@ impl Vectors for f64 {
         sub_f64s,
         mul_f64s,
         div_f64s,
+        neg_f64s,
+        abs_f64s,
+        sqrt_f64s,
         mul_add_e_f64s,
         less_than_f64s,
         first_true_m64s,
