@@ -13,7 +13,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::Real;
+use super::{Real, zeros};
 
 /// Channels of the output: picture 3, centroid 2 (x before y), centre weight, intensity.
 pub(crate) const CHANNELS: usize = 7;
@@ -65,7 +65,7 @@ macro_rules! with_kernel_size {
 /// `[H, W, K² + 1]`: every pixel's kernel and intensity.
 pub(crate) fn composite<T: Real>(image: &[T], field: &[T], size: BlurSize) -> Vec<T> {
     let _span = trace_span!("composite").entered();
-    let mut output = vec![T::ZERO; size.height * size.width * CHANNELS];
+    let mut output = zeros(size.height * size.width * CHANNELS);
     if output.is_empty() {
         return output;
     }
@@ -99,7 +99,7 @@ pub(crate) fn composite_backward<T: Real>(
 ) -> [Option<Vec<T>>; 2] {
     let _span = trace_span!("composite backward").entered();
     let [image_wanted, field_wanted] = wanted;
-    let mut field_gradient = vec![T::ZERO; if field_wanted { field.len() } else { 0 }];
+    let mut field_gradient = zeros(if field_wanted { field.len() } else { 0 });
     if image.is_empty() {
         return [
             image_wanted.then(Vec::new),
@@ -165,7 +165,7 @@ impl<T: Real> Planes<T> {
         let half = size.kernel / 2;
         let stride = size.padded_width();
         let plane = (size.height + size.kernel - 1) * stride;
-        let mut values = vec![T::ZERO; 4 * plane];
+        let mut values = zeros(4 * plane);
         for (y, row) in image.chunks_exact(size.width * 3).enumerate() {
             let start = (y + half) * stride + half;
             for (x, pixel) in row.chunks_exact(3).enumerate() {
@@ -367,7 +367,7 @@ fn band_backward<T: Real, const K: usize>(
 fn merge_bands<T: Real>(bands: &[Vec<T>], size: BlurSize) -> Vec<T> {
     let half = size.kernel / 2;
     let stride = size.padded_width();
-    let mut output = vec![T::ZERO; size.height * size.width * 3];
+    let mut output = zeros(size.height * size.width * 3);
     for (band, values) in bands.iter().enumerate() {
         let plane = values.len() / 3;
         for row in 0..plane / stride {

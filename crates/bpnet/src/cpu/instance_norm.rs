@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::Real;
+use super::{Real, zeros};
 
 /// Rows that one task works on.
 const ROWS: usize = 512;
@@ -37,7 +37,7 @@ pub(crate) fn instance_norm<T: Real>(input: &[T], channels: usize) -> (Vec<T>, V
     for scale in &mut scale {
         *scale = T::ONE / T::sqrt(*scale / count + T::from_f64(EPSILON));
     }
-    let mut output = vec![T::ZERO; input.len()];
+    let mut output = zeros(input.len());
     for_rows(&mut output, channels, |start, rows| {
         let input = &input[start..start + rows.len()];
         for (target, row) in rows
@@ -73,7 +73,7 @@ pub(crate) fn instance_norm_backward<T: Real>(output: &[T], scale: &[T], gradien
         *mean = *mean / count;
     }
     let (plain, weighted) = means.split_at(channels);
-    let mut input_gradient = vec![T::ZERO; output.len()];
+    let mut input_gradient = zeros(output.len());
     for_rows(&mut input_gradient, channels, |start, rows| {
         let end = start + rows.len();
         for (target, (y, g)) in rows.chunks_exact_mut(channels).zip(

@@ -15,6 +15,7 @@ use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Sub};
 
 use pulp::Simd;
+use rayon::iter::ParallelIterator as _;
 
 /// f32 or f64, and the machine's vectors of them.
 pub(crate) trait Real:
@@ -137,6 +138,11 @@ real!(
     (6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10),
     14
 );
+
+/// A large buffer of zeros, filled by all threads: one alone takes longer for it than many a kernel for its work.
+fn zeros<T: Real>(count: usize) -> Vec<T> {
+    rayon::iter::repeat_n(T::ZERO, count).collect()
+}
 
 /// Running sums of a reduction: they are the lanes of a vector, in a fixed order.
 const LANES: usize = 16;

@@ -12,7 +12,7 @@ use tracing::trace_span;
 
 use super::conv_backward::sum_parts;
 use super::product::{OuterProducts, Packed, Product, padded_columns};
-use super::{Real, dot, reduce};
+use super::{Real, dot, reduce, zeros};
 
 /// Channels of the hidden layers.
 pub(crate) const HIDDEN: usize = 64;
@@ -246,7 +246,7 @@ impl<T: Real> WithSimd for Forward<'_, T> {
         let net = self.0;
         let outputs = net.size.outputs();
         let weights = Weights::new::<S>(net);
-        let mut output = vec![T::ZERO; net.size.pixels() * outputs];
+        let mut output = zeros(net.size.pixels() * outputs);
         output
             .par_chunks_mut(TASK * TILE * outputs)
             .enumerate()
@@ -345,14 +345,11 @@ impl<T: Real> WithSimd for Backward<'_, T> {
         let widths = [HIDDEN, HIDDEN, HIDDEN, columns];
         let tiles = size.pixels().div_ceil(TILE);
         let per_band = tiles.div_ceil(BANDS).max(1) * TILE;
-        let mut features = vec![
-            T::ZERO;
-            if self.features_wanted {
-                size.pixels() * FEATURES
-            } else {
-                0
-            }
-        ];
+        let mut features = zeros(if self.features_wanted {
+            size.pixels() * FEATURES
+        } else {
+            0
+        });
         let bands = size.pixels().div_ceil(per_band);
         let mut pieces: Vec<&mut [T]> = if self.features_wanted {
             features.chunks_mut(per_band * FEATURES).collect()

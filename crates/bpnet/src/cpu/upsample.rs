@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::Real;
+use super::{Real, zeros};
 
 /// Sizes of an enlargement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +42,7 @@ pub(crate) fn upsample<T: Real>(input: &[T], size: UpsampleSize) -> Vec<T> {
     let _span = trace_span!("upsample").entered();
     let [rows, columns] = size.taps();
     let (line, channels) = (size.from[1] * size.channels, size.channels);
-    let mut output = vec![T::ZERO; size.to[0] * size.to[1] * channels];
+    let mut output = zeros(size.to[0] * size.to[1] * channels);
     let arch = pulp::Arch::new();
     output
         .par_chunks_mut((size.to[1] * channels).max(1))
@@ -82,7 +82,7 @@ pub(crate) fn upsample_backward<T: Real>(gradient: &[T], size: UpsampleSize) -> 
     let _span = trace_span!("upsample backward").entered();
     let [rows, columns] = size.taps();
     let (channels, width) = (size.channels, size.to[1]);
-    let mut output = vec![T::ZERO; size.from[0] * size.from[1] * channels];
+    let mut output = zeros(size.from[0] * size.from[1] * channels);
     let arch = pulp::Arch::new();
     output
         .par_chunks_mut((size.from[1] * channels).max(1))

@@ -6,6 +6,8 @@
 //! constants of gsplat. Results have the same bits with any number of threads: all work is cut in
 //! fixed pieces and every sum has a fixed order.
 
+use rayon::iter::ParallelIterator as _;
+
 mod backward;
 mod blocks;
 mod geometry;
@@ -39,6 +41,11 @@ pub const MIN_ALPHA: f64 = 1.0 / 255.0;
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 /// Low-pass filter: added to the diagonal of the 2D covariance, in square pixels.
 pub const LOW_PASS: f64 = 0.3;
+
+/// A large buffer, filled by all threads: one alone takes longer for it than many a kernel for its work.
+fn filled<V: Copy + Send + Sync>(value: V, count: usize) -> Vec<V> {
+    rayon::iter::repeat_n(value, count).collect()
+}
 
 /// Channels of the output before the features: colour 3, alpha 1, depth 1.
 pub const BASE_CHANNELS: usize = 5;

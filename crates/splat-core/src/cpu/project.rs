@@ -125,21 +125,15 @@ pub fn project<T: Real>(
         })
         .collect::<Result<_, SplatError>>()?;
     // Depth order; the sort is stable, so that at equal depth the lower row comes first.
-    let mut order: Vec<(u64, u32)> = chunks
-        .iter()
-        .enumerate()
-        .flat_map(|(c, chunk)| {
-            let key = move |(k, (splat, _)): (usize, &(Splat<T>, _))| {
-                (splat.channels[3].sort_bits(), (c * CHUNK + k) as u32)
-            };
-            chunk.iter().enumerate().map(key)
-        })
-        .collect();
-    T::sort_by_bits(&mut order);
-    let (sorted, extents): (Vec<_>, Vec<_>) = order
-        .iter()
-        .map(|(_, at)| chunks[*at as usize / CHUNK][*at as usize % CHUNK])
-        .unzip();
+    let mut order: Vec<(T, u32)> = Vec::with_capacity(count);
+    for (c, chunk) in chunks.iter().enumerate() {
+        let depths = chunk.iter().map(|(splat, _)| splat.channels[3]);
+        order.extend(depths.zip((c * CHUNK) as u32..));
+    }
+    radsort::sort_by_key(&mut order, |(depth, _)| *depth);
+    let at = |(_, at): &(T, u32)| &chunks[*at as usize / CHUNK][*at as usize % CHUNK];
+    let sorted: Vec<Splat<T>> = order.par_iter().map(|k| at(k).0).collect();
+    let extents: Vec<Extent<T>> = order.par_iter().map(|k| at(k).1).collect();
 
     let tiles = TileLists::new(&sorted, &extents, view.camera.width, view.camera.height)?;
     let mut rank = vec![u32::MAX; count];

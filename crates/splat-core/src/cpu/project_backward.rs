@@ -13,7 +13,7 @@ use super::geometry::{
 use super::packs::{Number, Pack, WIDEST, array, arrays};
 use super::project::{CHUNK, sh_color, sigmoid};
 use super::raster_backward::GEOMETRIC;
-use super::{BackwardOptions, Gradients, Projection, Real, SplatSlices, sh};
+use super::{BackwardOptions, Gradients, Projection, Real, SplatSlices, filled, sh};
 
 /// The output rows of one piece of work.
 struct Piece<'a, T> {
@@ -48,7 +48,7 @@ pub(super) fn project_backward<T: Real>(
     let _span = tracing::trace_span!("project backward").entered();
     let n = projection.count;
     let sh_width = 3 * splats.sh_coefficients();
-    let zeros = |len: usize| vec![T::ZERO; len];
+    let zeros = |len: usize| filled(T::ZERO, len);
     let mut out = Gradients {
         means: zeros(3 * n),
         quats: zeros(4 * n),

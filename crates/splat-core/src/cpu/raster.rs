@@ -5,7 +5,9 @@ use rayon::prelude::*;
 
 use super::blocks::{ACROSS, BLOCK, BLOCKS, PerChannel, Pixels, blocks_under, centers, place};
 use super::project::{Splat, find_not_finite};
-use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Projection, Real, TILE};
+use super::{
+    BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Projection, Real, TILE, filled,
+};
 use crate::SplatError;
 
 /// An alpha threshold that no alpha reaches: marks pixels that are done.
@@ -57,9 +59,9 @@ pub fn rasterize<T: Real>(
     let tiles = &projection.tiles;
     let num_tiles = tiles.num_tiles();
     let per_tile = BLOCKS * channels;
-    let mut blended = vec![[T::ZERO; BLOCK]; num_tiles * per_tile];
-    let mut transmittance = vec![[[T::ONE; BLOCK]; BLOCKS]; num_tiles];
-    let mut last = vec![[[T::ZERO; BLOCK]; BLOCKS]; num_tiles];
+    let mut blended = filled([T::ZERO; BLOCK], num_tiles * per_tile);
+    let mut transmittance = filled([[T::ONE; BLOCK]; BLOCKS], num_tiles);
+    let mut last = filled([[T::ZERO; BLOCK]; BLOCKS], num_tiles);
     let mut drawn = vec![0_u16; tiles.slots.len()];
     let arch = Arch::new();
     blended
@@ -87,7 +89,7 @@ pub fn rasterize<T: Real>(
 
     let (width, depth_and_more) = (projection.view.camera.width, num_features + 1);
     let stride = BASE_CHANNELS + num_features;
-    let mut output = vec![T::ZERO; projection.view.camera.num_pixels() * stride];
+    let mut output = filled(T::ZERO, projection.view.camera.num_pixels() * stride);
     output
         .par_chunks_mut(width * stride)
         .enumerate()

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::blocks::{BLOCK, BLOCKS, PerChannel, centers, place};
 use super::project::Splat;
 use super::raster::{BATCH, Footprint, load_batch, load_channels};
-use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, Projection, RasterState, Real, TILE};
+use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, Projection, RasterState, Real, TILE, filled};
 
 /// Geometric sums in a partial gradient, before its channels. With s = ∂L/∂sigma per pixel:
 /// Σ s p, Σ s p², Σ s p dy, Σ s dy, Σ s dy², Σ s.
@@ -23,7 +23,7 @@ pub(super) fn partial_gradients<T: Real>(
     let _span = tracing::trace_span!("rasterize backward").entered();
     let tiles = &projection.tiles;
     let width = GEOMETRIC + 4 + state.num_features;
-    let mut partial = vec![T::ZERO; tiles.slots.len() * width];
+    let mut partial = filled(T::ZERO, tiles.slots.len() * width);
     let pieces = tiles.pieces_by_tile(&mut partial, width);
     let arch = Arch::new();
     pieces.into_par_iter().enumerate().for_each_init(

@@ -21,6 +21,7 @@ pub trait Real:
     + AddAssign
     + SubAssign
     + Vectors
+    + radsort::Key
     + 'static
 {
     /// 0.
@@ -45,10 +46,6 @@ pub trait Real:
     fn max(self, other: Self) -> Self;
     /// Neither NaN nor infinite.
     fn is_finite(self) -> bool;
-    /// Bits of a positive number; they sort as the numbers do.
-    fn sort_bits(self) -> u64;
-    /// Sorts by the bits of such numbers; equal ones stay in their order.
-    fn sort_by_bits<V: Copy>(entries: &mut [(u64, V)]);
 }
 
 impl Real for f32 {
@@ -91,13 +88,6 @@ impl Real for f32 {
     fn is_finite(self) -> bool {
         f32::is_finite(self)
     }
-    #[inline(always)]
-    fn sort_bits(self) -> u64 {
-        u64::from(self.to_bits())
-    }
-    fn sort_by_bits<V: Copy>(entries: &mut [(u64, V)]) {
-        radsort::sort_by_key(entries, |(bits, _)| *bits as u32);
-    }
 }
 
 impl Real for f64 {
@@ -139,12 +129,5 @@ impl Real for f64 {
     #[inline(always)]
     fn is_finite(self) -> bool {
         f64::is_finite(self)
-    }
-    #[inline(always)]
-    fn sort_bits(self) -> u64 {
-        self.to_bits()
-    }
-    fn sort_by_bits<V: Copy>(entries: &mut [(u64, V)]) {
-        radsort::sort_by_key(entries, |(bits, _)| *bits);
     }
 }
