@@ -5,6 +5,8 @@ use std::io::{Cursor, Read as _};
 use std::path::Path;
 
 use npyz::{DType, NpyFile, NpyHeader, Order, TypeChar};
+use zip::ZipArchive;
+use zip::result::ZipError;
 
 use crate::IoError;
 use crate::bytes::read_file;
@@ -160,17 +162,14 @@ fn to_row_major(values: &[f32], shape: &[usize], strides: &[u64]) -> Vec<f32> {
 pub(crate) fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>, IoError> {
     let data = read_file(path)?;
     let archive_bytes = data.len() as u64;
-    let malformed =
-        |e: std::io::Error| IoError::malformed(path, format!("not an npz archive: {e}"));
-    let mut archive = npyz::npz::NpzArchive::new(Cursor::new(&data)).map_err(malformed)?;
-    let zip = archive.zip_archive();
+    let malformed = |e: ZipError| IoError::malformed(path, format!("not an npz archive: {e}"));
+    let mut zip = ZipArchive::new(Cursor::new(&data)).map_err(malformed)?;
 
     let mut arrays = BTreeMap::new();
     let mut packed_total = 0u64;
     for index in 0..zip.len() {
-        let entry = zip.by_index(index).map_err(|e| malformed(e.into()))?;
-        let Some(name) = npyz::npz::array_name_from_file_name(entry.name()).map(String::from)
-        else {
+        let entry = zip.by_index(index).map_err(malformed)?;
+        let Some(name) = entry.name().strip_suffix(".npy").map(String::from) else {
             continue;
         };
         // Sizes in an archive's directory are promises too; overlapping entries would make a small

@@ -4,7 +4,7 @@
 //! rows, and the moments have to follow.
 
 use crate::density::{RowEdit, RowKind, gather_rows};
-use crate::real::{Real, leaf, values, with_real};
+use crate::real::{Real, leaf, values, vectorized, with_real};
 use burn::tensor::{Tensor, TensorData};
 use rayon::prelude::*;
 
@@ -228,7 +228,6 @@ fn update<T: Real>(
         return;
     }
     let constants = Constants::new(steps, options);
-    let arch = pulp::Arch::new();
     let block = (BLOCK / tile.len()).max(1) * tile.len();
     param
         .par_chunks_mut(block)
@@ -236,7 +235,7 @@ fn update<T: Real>(
         .zip(moment1.par_chunks_mut(block))
         .zip(moment2.par_chunks_mut(block))
         .for_each(|(((param, grad), moment1), moment2)| {
-            arch.dispatch(
+            vectorized(
                 #[inline(always)]
                 || {
                     for (((param, grad), moment1), moment2) in param

@@ -1,6 +1,7 @@
 //! The one place where tensors meet slices: a float type, and leaves made from edited values.
 
 use burn::tensor::{DType, Element, Tensor, TensorData};
+use pulp::{Simd, WithSimd};
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
 /// `f32` or `f64`: what the kernels of this crate compute with.
@@ -73,6 +74,20 @@ macro_rules! with_real {
     };
 }
 pub(crate) use with_real;
+
+/// Runs `work` with the machine's vectors. (pulp takes closures as they are too, but calls them in a way that is not always
+/// inlined, and what is not knows nothing of the vectors.)
+pub(crate) fn vectorized<R>(work: impl FnMut() -> R) -> R {
+    struct Work<F>(F);
+    impl<R, F: FnMut() -> R> WithSimd for Work<F> {
+        type Output = R;
+        #[inline(always)]
+        fn with_simd<S: Simd>(mut self, _: S) -> R {
+            (self.0)()
+        }
+    }
+    pulp::Arch::new().dispatch(Work(work))
+}
 
 /// The tensor's values, row-major, without a copy where the buffer has no other owner.
 ///

@@ -11,6 +11,7 @@ use crate::cpu::conv::{ConvSize, conv};
 use crate::cpu::conv_backward::conv_backward;
 use crate::cpu::instance_norm;
 use crate::cpu::predict::{self, Dense, PredictSize};
+use crate::cpu::predict_backward::predict_backward;
 use crate::cpu::upsample::{self, UpsampleSize};
 use crate::encoding::axis_encoding;
 use crate::ops::{BpNetBackwardOps, BpNetOps, PREDICTOR, Predictor};
@@ -250,7 +251,7 @@ fn predict_backward_on<T: Real + Element, B: HostBackend>(
 ) -> [Option<FloatTensor<B>>; PREDICTOR] {
     let mut tensors = predictor.into_array();
     let gradients = with_predictor::<T, B, _>(&mut tensors, size, |net| {
-        predict::predict_backward(
+        predict_backward(
             net,
             &B::elements::<T>(&mut output),
             &B::elements::<T>(&mut gradient),

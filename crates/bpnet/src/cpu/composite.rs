@@ -13,7 +13,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::{Real, zeros};
+use super::{Real, vectorized, zeros};
 
 /// Channels of the output: picture 3, centroid 2 (x before y), centre weight, intensity.
 pub(crate) const CHANNELS: usize = 7;
@@ -70,13 +70,12 @@ pub(crate) fn composite<T: Real>(image: &[T], field: &[T], size: BlurSize) -> Ve
         return output;
     }
     let planes = Planes::new(image, size);
-    let arch = pulp::Arch::new();
     output
         .par_chunks_mut(BAND * size.width * CHANNELS)
         .zip(field.par_chunks(BAND * size.width * size.entries()))
         .enumerate()
         .for_each(|(band, (output, field))| {
-            arch.dispatch(
+            vectorized(
                 #[inline(always)]
                 || {
                     with_kernel_size!(
@@ -107,7 +106,6 @@ pub(crate) fn composite_backward<T: Real>(
         ];
     }
     let planes = Planes::new(image, size);
-    let arch = pulp::Arch::new();
     let bands = size.height.div_ceil(BAND);
     let mut field_gradients: Vec<&mut [T]> = if field_wanted {
         field_gradient
@@ -129,7 +127,7 @@ pub(crate) fn composite_backward<T: Real>(
             let pixels = band * BAND * size.width..(band * BAND + rows) * size.width;
             let field = &field[pixels.start * size.entries()..pixels.end * size.entries()];
             let gradient = &gradient[pixels.start * CHANNELS..pixels.end * CHANNELS];
-            arch.dispatch(
+            vectorized(
                 #[inline(always)]
                 || {
                     with_kernel_size!(

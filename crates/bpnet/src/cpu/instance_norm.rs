@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::{Real, zeros};
+use super::{Real, vectorized, zeros};
 
 /// Rows that one task works on.
 const ROWS: usize = 512;
@@ -16,39 +16,56 @@ const EPSILON: f64 = 1e-5;
 pub(crate) fn instance_norm<T: Real>(input: &[T], channels: usize) -> (Vec<T>, Vec<T>) {
     let _span = trace_span!("instance norm").entered();
     let count = T::from_f64((input.len() / channels) as f64);
-    let mut mean: Vec<T> = column_sums(input.len(), channels, channels, |range, sums| {
-        for row in input[range].chunks_exact(channels) {
-            for (sum, &x) in sums.iter_mut().zip(row) {
-                *sum += x;
+    let mut mean: Vec<T> = column_sums(
+        input.len(),
+        channels,
+        channels,
+        #[inline(always)]
+        |range, sums| {
+            for row in input[range].chunks_exact(channels) {
+                for (sum, &x) in sums.iter_mut().zip(row) {
+                    *sum += x;
+                }
             }
-        }
-    });
+        },
+    );
     for mean in &mut mean {
         *mean = *mean / count;
     }
     // From the deviations, not from the squares, which would cancel.
-    let mut scale: Vec<T> = column_sums(input.len(), channels, channels, |range, sums| {
-        for row in input[range].chunks_exact(channels) {
-            for (sum, (&x, &mean)) in sums.iter_mut().zip(row.iter().zip(&mean)) {
-                *sum += (x - mean) * (x - mean);
+    let mut scale: Vec<T> = column_sums(
+        input.len(),
+        channels,
+        channels,
+        #[inline(always)]
+        |range, sums| {
+            for row in input[range].chunks_exact(channels) {
+                for (sum, (&x, &mean)) in sums.iter_mut().zip(row.iter().zip(&mean)) {
+                    *sum += (x - mean) * (x - mean);
+                }
             }
-        }
-    });
+        },
+    );
     for scale in &mut scale {
         *scale = T::ONE / T::sqrt(*scale / count + T::from_f64(EPSILON));
     }
     let mut output = zeros(input.len());
-    for_rows(&mut output, channels, |start, rows| {
-        let input = &input[start..start + rows.len()];
-        for (target, row) in rows
-            .chunks_exact_mut(channels)
-            .zip(input.chunks_exact(channels))
-        {
-            for (c, target) in target.iter_mut().enumerate() {
-                *target = (row[c] - mean[c]) * scale[c];
+    for_rows(
+        &mut output,
+        channels,
+        #[inline(always)]
+        |start, rows| {
+            let input = &input[start..start + rows.len()];
+            for (target, row) in rows
+                .chunks_exact_mut(channels)
+                .zip(input.chunks_exact(channels))
+            {
+                for (c, target) in target.iter_mut().enumerate() {
+                    *target = (row[c] - mean[c]) * scale[c];
+                }
             }
-        }
-    });
+        },
+    );
     (output, scale)
 }
 
@@ -57,47 +74,57 @@ pub(crate) fn instance_norm_backward<T: Real>(output: &[T], scale: &[T], gradien
     let _span = trace_span!("instance norm backward").entered();
     let channels = scale.len();
     let count = T::from_f64((output.len() / channels) as f64);
-    let mut means: Vec<T> = column_sums(output.len(), channels, 2 * channels, |range, sums| {
-        let (plain, weighted) = sums.split_at_mut(channels);
-        for (y, g) in output[range.clone()]
-            .chunks_exact(channels)
-            .zip(gradient[range].chunks_exact(channels))
-        {
-            for c in 0..channels {
-                plain[c] += g[c];
-                weighted[c] += g[c] * y[c];
+    let mut means: Vec<T> = column_sums(
+        output.len(),
+        channels,
+        2 * channels,
+        #[inline(always)]
+        |range, sums| {
+            let (plain, weighted) = sums.split_at_mut(channels);
+            for (y, g) in output[range.clone()]
+                .chunks_exact(channels)
+                .zip(gradient[range].chunks_exact(channels))
+            {
+                for c in 0..channels {
+                    plain[c] += g[c];
+                    weighted[c] += g[c] * y[c];
+                }
             }
-        }
-    });
+        },
+    );
     for mean in &mut means {
         *mean = *mean / count;
     }
     let (plain, weighted) = means.split_at(channels);
     let mut input_gradient = zeros(output.len());
-    for_rows(&mut input_gradient, channels, |start, rows| {
-        let end = start + rows.len();
-        for (target, (y, g)) in rows.chunks_exact_mut(channels).zip(
-            output[start..end]
-                .chunks_exact(channels)
-                .zip(gradient[start..end].chunks_exact(channels)),
-        ) {
-            for c in 0..channels {
-                target[c] = scale[c] * (g[c] - plain[c] - y[c] * weighted[c]);
+    for_rows(
+        &mut input_gradient,
+        channels,
+        #[inline(always)]
+        |start, rows| {
+            let end = start + rows.len();
+            for (target, (y, g)) in rows.chunks_exact_mut(channels).zip(
+                output[start..end]
+                    .chunks_exact(channels)
+                    .zip(gradient[start..end].chunks_exact(channels)),
+            ) {
+                for c in 0..channels {
+                    target[c] = scale[c] * (g[c] - plain[c] - y[c] * weighted[c]);
+                }
             }
-        }
-    });
+        },
+    );
     input_gradient
 }
 
 /// Calls `fill` with pieces of whole rows, in parallel, and the index of their first element.
 fn for_rows<T: Real>(values: &mut [T], channels: usize, fill: impl Fn(usize, &mut [T]) + Sync) {
-    let arch = pulp::Arch::new();
     let piece = ROWS * channels;
     values
         .par_chunks_mut(piece)
         .enumerate()
         .for_each(|(i, rows)| {
-            arch.dispatch(
+            vectorized(
                 #[inline(always)]
                 || fill(i * piece, rows),
             );
@@ -112,13 +139,12 @@ fn column_sums<T: Real>(
     sums: usize,
     add: impl Fn(std::ops::Range<usize>, &mut [T]) + Sync,
 ) -> Vec<T> {
-    let arch = pulp::Arch::new();
     let piece = ROWS * channels;
     let parts: Vec<Vec<T>> = (0..len.div_ceil(piece))
         .into_par_iter()
         .map(|i| {
             let mut part = vec![T::ZERO; sums];
-            arch.dispatch(
+            vectorized(
                 #[inline(always)]
                 || add(i * piece..((i + 1) * piece).min(len), &mut part),
             );

@@ -8,13 +8,14 @@ pub(crate) mod conv;
 pub(crate) mod conv_backward;
 pub(crate) mod instance_norm;
 pub(crate) mod predict;
+pub(crate) mod predict_backward;
 mod product;
 pub(crate) mod upsample;
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Div, Mul, Sub};
 
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
 use rayon::iter::ParallelIterator as _;
 
 /// f32 or f64, and the machine's vectors of them.
@@ -142,6 +143,20 @@ real!(
 /// A large buffer of zeros, filled by all threads: one alone takes longer for it than many a kernel for its work.
 fn zeros<T: Real>(count: usize) -> Vec<T> {
     rayon::iter::repeat_n(T::ZERO, count).collect()
+}
+
+/// Runs `work` with the machine's vectors. (pulp takes closures as they are too, but calls them in a way that is not always
+/// inlined, and what is not knows nothing of the vectors.)
+fn vectorized<R>(work: impl FnMut() -> R) -> R {
+    struct Work<F>(F);
+    impl<R, F: FnMut() -> R> WithSimd for Work<F> {
+        type Output = R;
+        #[inline(always)]
+        fn with_simd<S: Simd>(mut self, _: S) -> R {
+            (self.0)()
+        }
+    }
+    pulp::Arch::new().dispatch(Work(work))
 }
 
 /// Running sums of a reduction: they are the lanes of a vector, in a fixed order.

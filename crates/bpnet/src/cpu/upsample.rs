@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::{Real, zeros};
+use super::{Real, vectorized, zeros};
 
 /// Sizes of an enlargement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,14 +43,13 @@ pub(crate) fn upsample<T: Real>(input: &[T], size: UpsampleSize) -> Vec<T> {
     let [rows, columns] = size.taps();
     let (line, channels) = (size.from[1] * size.channels, size.channels);
     let mut output = zeros(size.to[0] * size.to[1] * channels);
-    let arch = pulp::Arch::new();
     output
         .par_chunks_mut((size.to[1] * channels).max(1))
         .zip(rows)
         .for_each_init(
             || vec![T::ZERO; line],
             |mixed, (output, (above, below, share))| {
-                arch.dispatch(
+                vectorized(
                     #[inline(always)]
                     || {
                         let [above, below] = [above, below].map(|y| &input[y * line..][..line]);
@@ -83,7 +82,6 @@ pub(crate) fn upsample_backward<T: Real>(gradient: &[T], size: UpsampleSize) -> 
     let [rows, columns] = size.taps();
     let (channels, width) = (size.channels, size.to[1]);
     let mut output = zeros(size.from[0] * size.from[1] * channels);
-    let arch = pulp::Arch::new();
     output
         .par_chunks_mut((size.from[1] * channels).max(1))
         .enumerate()
@@ -100,7 +98,7 @@ pub(crate) fn upsample_backward<T: Real>(gradient: &[T], size: UpsampleSize) -> 
                     continue;
                 }
                 let gradient = &gradient[row * width * channels..][..width * channels];
-                arch.dispatch(
+                vectorized(
                     #[inline(always)]
                     || {
                         for (gradient, &(left, right, share)) in

@@ -1,6 +1,7 @@
 //! Tiny scenes, written by hand so that they do not share a line with the readers.
 
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
@@ -186,26 +187,18 @@ impl Som {
 
     /// Puts the track files into one archive.
     pub(crate) fn pack_tracks(&self) {
-        use npyz::WriterBuilder as _;
         let folder = self.path("flow3d_preprocessed/2d_tracks");
         let archive = self.path("flow3d_preprocessed/2d_tracks.npz");
-        let mut archive = npyz::npz::NpzWriter::create(archive).unwrap();
+        let mut archive = zip::ZipWriter::new(fs::File::create(archive).unwrap());
         for entry in fs::read_dir(&folder).unwrap() {
             let path = entry.unwrap().path();
-            let data = npyz::NpyFile::new(fs::File::open(&path).unwrap()).unwrap();
-            let shape = data.shape().to_vec();
-            let values = data.into_vec::<f32>().unwrap();
-            let name = path.file_stem().unwrap().to_str().unwrap();
-            let mut writer = archive
-                .array(name, Default::default())
-                .unwrap()
-                .default_dtype()
-                .shape(&shape)
-                .begin_nd()
+            let name = path.file_name().unwrap().to_str().unwrap();
+            archive
+                .start_file(name, zip::write::FileOptions::default())
                 .unwrap();
-            writer.extend(values).unwrap();
-            writer.finish().unwrap();
+            archive.write_all(&fs::read(&path).unwrap()).unwrap();
         }
+        archive.finish().unwrap();
         self.remove("flow3d_preprocessed/2d_tracks");
     }
 }

@@ -5,7 +5,7 @@
 //! The window is symmetric, so the gradient of Σ SSIM by a is G * ∂m + 2 a (G * ∂p) + b (G * ∂r), with ∂ the partial
 //! derivatives of one pixel's SSIM by its statistics.
 
-use crate::real::{Real, constant_like, values, with_real};
+use crate::real::{Real, constant_like, values, vectorized, with_real};
 use burn::tensor::Tensor;
 use rayon::prelude::*;
 
@@ -49,8 +49,7 @@ pub(crate) fn l1_and_ssim(a: Tensor<3>, b: &Tensor<3>, weights: [f64; 2]) -> Ten
         let pixels = lanes(&a_values, &b_values, width, height);
         let mut value = ssim_weight * sum_first_lane(&pixels, width) / count;
         if l1_weight != 0.0 {
-            let differences = a_values.iter().zip(&b_values).map(|(a, b)| (*a - *b).magnitude().wide());
-            value += l1_weight * differences.sum::<f64>() / count;
+            value += l1_weight * sum_of_differences(&a_values, &b_values, width) / count;
         }
         let known = a.clone().inner();
         if !a.is_tracked() {
@@ -110,7 +109,6 @@ fn lanes<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
     let row = width * CHANNELS;
     let pad = WINDOW_EDGE * CHANNELS;
     let weights = window::<T>();
-    let arch = pulp::Arch::new();
     let mut out = vec![T::default(); height * LANES * row];
     if row == 0 {
         return out;
@@ -125,7 +123,7 @@ fn lanes<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
                 )
             },
             |(padded, statistics), (y, out)| {
-                arch.dispatch(
+                vectorized(
                     #[inline(always)]
                     || {
                         padded.fill(T::default());
@@ -224,7 +222,6 @@ fn gradient<T: Real>(
     let row = width * CHANNELS;
     let pad = WINDOW_EDGE * CHANNELS;
     let weights = window::<T>();
-    let arch = pulp::Arch::new();
     let mut out = vec![T::default(); a.len()];
     if row == 0 {
         return out;
@@ -237,7 +234,7 @@ fn gradient<T: Real>(
             )
         },
         |(padded, blurred), (y, out)| {
-            arch.dispatch(
+            vectorized(
                 #[inline(always)]
                 || {
                     padded.fill(T::default());
@@ -283,11 +280,25 @@ fn gradient<T: Real>(
 /// Row by row, so that the order of the sum does not depend on threads.
 fn sum_first_lane<T: Real>(pixels: &[T], width: usize) -> f64 {
     let row = width * CHANNELS;
-    if row == 0 {
-        return 0.0;
-    }
-    pixels
-        .chunks_exact(LANES * row)
-        .map(|lanes| lanes[..row].iter().map(|v| v.wide()).sum::<f64>())
-        .sum()
+    let rows: Vec<f64> = pixels
+        .par_chunks_exact((LANES * row).max(1))
+        .map(|lanes| lanes[..row].iter().map(|v| v.wide()).sum())
+        .collect();
+    rows.into_iter().sum()
+}
+
+/// Σ |a - b|, row by row as well.
+fn sum_of_differences<T: Real>(a: &[T], b: &[T], width: usize) -> f64 {
+    let row = (width * CHANNELS).max(1);
+    let rows: Vec<f64> = a
+        .par_chunks_exact(row)
+        .zip(b.par_chunks_exact(row))
+        .map(|(a, b)| {
+            a.iter()
+                .zip(b)
+                .map(|(a, b)| (*a - *b).magnitude().wide())
+                .sum()
+        })
+        .collect();
+    rows.into_iter().sum()
 }
