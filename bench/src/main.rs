@@ -157,7 +157,7 @@ fn all(arguments: &Arguments) -> Result<(), Failure> {
         growth: sweeps(arguments.quick)?,
     };
     report.write(&arguments.out)?;
-    print!("{}", report.tables());
+    print!("{}", report.tables()?);
     println!("\nwritten to {}", arguments.out.display());
     Ok(())
 }

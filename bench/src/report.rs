@@ -32,7 +32,7 @@ impl Report {
             folder.join("bench.json"),
             serde_json::to_string_pretty(self)?,
         )?;
-        std::fs::write(folder.join("bench.md"), self.tables())?;
+        std::fs::write(folder.join("bench.md"), self.tables()?)?;
         for growth in &self.growth {
             let name = match growth.axis {
                 "K²" => "kernel",
@@ -44,43 +44,45 @@ impl Report {
     }
 
     /// All tables in Markdown.
-    #[must_use]
-    pub fn tables(&self) -> String {
+    ///
+    /// # Errors
+    /// None: writing into a string cannot fail, but its interface says it could.
+    pub fn tables(&self) -> Result<String, std::fmt::Error> {
         let m = &self.machine;
         let mut out = format!(
             "{} threads; at most {:.0} GFLOP/s in registers, {:.1} GB/s copying\n",
             m.threads, m.gflops, m.gigabytes
         );
         for b in &self.iterations {
-            table(&mut out, b);
+            table(&mut out, b)?;
         }
         for g in &self.growth {
-            let _ = write!(
+            write!(
                 out,
                 "\n{}: {}\n\n| {} | ms | MiB |\n|---|---|---|\n",
                 g.axis, g.fixed, g.axis
-            );
+            )?;
             for p in &g.points {
                 let mib = p.mib.map_or_else(|| "–".to_owned(), |v| format!("{v:.0}"));
-                let _ = writeln!(out, "| {} | {:.1} | {mib} |", p.size, p.ms);
+                writeln!(out, "| {} | {:.1} | {mib} |", p.size, p.ms)?;
             }
             let memory = g.memory_exponent;
             let memory = memory.map_or_else(|| "–".to_owned(), |v| format!("{v:.2}"));
-            let _ = writeln!(
+            writeln!(
                 out,
                 "\nUpper half: time grows with the power {:.2}, memory with {memory}.",
                 g.time_exponent
-            );
+            )?;
         }
-        out
+        Ok(out)
     }
 }
 
-fn table(out: &mut String, b: &Breakdown) {
+fn table(out: &mut String, b: &Breakdown) -> std::fmt::Result {
     let floor = b
         .floor_ms
         .map_or_else(String::new, |f| format!(", floor {f:.1} ms"));
-    let _ = write!(
+    write!(
         out,
         "\n{}: median {:.1} ms, fastest {:.1} ms of {}{floor}; {:.0} % outside splatting and blur model\n\n\
          | stage | ms | share | MFLOP | MB | of the floor |\n|---|---|---|---|---|---|\n",
@@ -89,13 +91,13 @@ fn table(out: &mut String, b: &Breakdown) {
         b.fastest_ms,
         b.iterations,
         100.0 * b.rest_share
-    );
+    )?;
     let mega = |v: Option<f64>| v.map_or_else(String::new, |v| format!("{:.1}", v * 1e-6));
     for s in b.stages.iter().filter(|s| s.ms >= 0.01) {
         let of_floor = s
             .of_floor
             .map_or_else(String::new, |v| format!("{:.0} %", 100.0 * v));
-        let _ = writeln!(
+        writeln!(
             out,
             "| {} | {:.2} | {:.1} % | {} | {} | {of_floor} |",
             s.name,
@@ -103,8 +105,9 @@ fn table(out: &mut String, b: &Breakdown) {
             100.0 * s.share,
             mega(s.operations),
             mega(s.bytes)
-        );
+        )?;
     }
+    Ok(())
 }
 
 /// Time and memory on logarithmic axes, each beside a straight line of slope 1 through its last point.

@@ -218,8 +218,8 @@ fn with_predictor<T: Real + Element, B: HostBackend, R>(
     };
     let elements: [Cow<'_, [T]>; PREDICTOR] = tensors.each_mut().map(B::elements::<T>);
     let dense = |layer: usize| Dense {
-        weight: &*elements[1 + 2 * layer],
-        bias: &*elements[2 + 2 * layer],
+        weight: &elements[1 + 2 * layer],
+        bias: &elements[2 + 2 * layer],
     };
     run(&predict::Predictor {
         size,

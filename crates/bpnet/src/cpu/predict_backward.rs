@@ -152,7 +152,7 @@ impl<T: Real> WithSimd for BackwardBand<'_, T> {
         let [encoded, joined, _] = size.inputs();
         let mut hidden = Hidden::new(size);
         let mut logits = vec![T::ZERO; TILE * columns];
-        let mut upper = vec![T::ZERO; TILE * HIDDEN];
+        let mut upper = [T::ZERO; TILE * HIDDEN];
         let mut lower = vec![T::ZERO; TILE * joined];
         let product = |layer: usize, input: &[T], step: usize, output: &mut [T], output_step| {
             simd.vectorize(Product {

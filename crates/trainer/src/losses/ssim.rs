@@ -173,7 +173,7 @@ fn lanes<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
                             dr[k] = similarity.by_r;
                         }
                     },
-                )
+                );
             },
         );
     out
@@ -271,7 +271,7 @@ fn gradient<T: Real>(
                         out[k] = ssim_scale * ssim + sign;
                     }
                 },
-            )
+            );
         },
     );
     out
