@@ -37,6 +37,17 @@ impl HostBackend for burn::backend::Flex {
 #[cfg(feature = "ndarray")]
 impl HostBackend for burn::backend::NdArray {
     fn elements<T: Real + Element>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]> {
+        use burn::backend::ndarray::NdArrayTensor;
+        let tensor: &FloatTensor<Self> = tensor;
+        // Reading a tensor through Burn copies it, value by value.
+        let borrowed: Option<&[T]> = match tensor {
+            NdArrayTensor::F32(storage) => storage.view().to_slice().map(bytemuck::cast_slice),
+            NdArrayTensor::F64(storage) => storage.view().to_slice().map(bytemuck::cast_slice),
+            _ => None,
+        };
+        if let Some(values) = borrowed {
+            return Cow::Borrowed(values);
+        }
         let data = burn::tensor::read_sync(
             <Self as burn::backend::ops::FloatTensorOps<Self>>::float_into_data(tensor.clone()),
         )
