@@ -11,8 +11,8 @@ use bpnet::{BlurField, BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, comp
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use glam::DAffine3;
-use limpid_bench::workload::{Blur, Workload};
-use splat_core::cpu::{BackwardOptions, SplatSlices, View, backward, project, rasterize};
+use limpid_bench::workload::{Blur, Workload, slices};
+use splat_core::cpu::{BackwardOptions, View, backward, project, rasterize};
 use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
 use trainer::losses::ssim;
 
@@ -49,14 +49,7 @@ fn splatting(c: &mut Criterion) {
     for size in SIZES {
         let workload = workload(size);
         let g = workload.gaussians();
-        let splats = SplatSlices {
-            means: g.means.as_flattened(),
-            quats: g.quats.as_flattened(),
-            left_rotations: &[],
-            log_scales: g.log_scales.as_flattened(),
-            opacity_logits: &g.opacity_logits,
-            sh: &g.sh,
-        };
+        let splats = slices(&g);
         let view = View::new(&workload.camera(), &DAffine3::IDENTITY, 3);
         let v_output: Vec<f32> = values(size.0 * size.1 * 5, 3)
             .iter()

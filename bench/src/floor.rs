@@ -1,9 +1,9 @@
 //! Operations and bytes of every stage of an iteration, counted by hand: what cannot be done with less.
 
-use splat_core::cpu::{SplatSlices, View, project};
+use splat_core::cpu::{View, project};
 
 use crate::pairs::count_pairs;
-use crate::workload::{Blur, Workload};
+use crate::workload::{Blur, Workload, slices};
 
 /// Floating-point operations and bytes that have to be moved between memory and a core.
 #[derive(Clone, Copy, Debug, Default)]
@@ -35,14 +35,7 @@ impl Counts {
     #[must_use]
     pub fn new(workload: &Workload) -> Self {
         let g = workload.gaussians();
-        let splats = SplatSlices {
-            means: g.means.as_flattened(),
-            quats: g.quats.as_flattened(),
-            left_rotations: &[],
-            log_scales: g.log_scales.as_flattened(),
-            opacity_logits: &g.opacity_logits,
-            sh: &g.sh,
-        };
+        let splats = slices(&g);
         let view = View::new(&workload.camera(), &glam::DAffine3::IDENTITY, 3);
         let projection = project(&splats, &view).expect("the Gaussians of a workload are good");
         Self {
