@@ -11,7 +11,7 @@ use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
 /// An iteration frees and takes hundreds of megabytes; the system's allocator would hand them back and fault them in
-/// again, which costs up to a third of the time (docs/PERFORMANCE.md).
+/// again, which cost a quarter of the time (docs/PERFORMANCE.md).
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
