@@ -7,16 +7,18 @@ use std::process::Command;
 use toml::{Table, Value};
 
 /// Every crate of the workspace and the crates of ours that it may depend on.
-const ARROWS: [(&str, &[&str]); 9] = [
-    ("splat-core", &[]),
+const ARROWS: [(&str, &[&str]); 11] = [
+    ("host", &[]),
+    ("splat-core", &["host"]),
     ("motion-bases", &[]),
-    ("bpnet", &[]),
+    ("bpnet", &["host"]),
     ("unseen-views", &["splat-core"]),
     ("io", &["splat-core"]),
     (
         "trainer",
         &["splat-core", "motion-bases", "bpnet", "unseen-views", "io"],
     ),
+    ("limpid", &["io", "trainer"]),
     (
         "limpid-tests",
         &[

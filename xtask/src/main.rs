@@ -100,7 +100,7 @@ fn train(args: &[OsString]) -> Command {
     let mut command = cargo();
     command.arg("run").arg("--manifest-path");
     command.arg(root().join("Cargo.toml"));
-    command.args(["--package", "trainer", "--bin", "limpid"]);
+    command.args(["--package", "limpid"]);
     if let Some(backend) = backend_feature(args) {
         command.args(["--features", backend]);
     }
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn without_a_scene_the_demo_is_trained() {
-        let demo = "--package trainer --bin limpid -- train --config ROOT/demo/limpid.toml";
+        let demo = "--package limpid -- train --config ROOT/demo/limpid.toml";
         assert_eq!(train_line(""), demo, "no arguments");
         for args in ["--iterations 300", "--out o --force"] {
             assert_eq!(train_line(args), format!("{demo} {args}"), "{args}");
@@ -247,7 +247,7 @@ mod tests {
         ] {
             assert_eq!(
                 train_line(args),
-                format!("--package trainer --bin limpid -- train {args}"),
+                format!("--package limpid -- train {args}"),
                 "cargo's arguments"
             );
         }

@@ -8,7 +8,7 @@ use crate::SplatError;
 use crate::cpu::Real;
 
 /// The float types that kernels and tensors share.
-pub(crate) trait HostFloat: Real + Element + bytemuck::Pod {}
+pub(crate) trait HostFloat: Real + Element {}
 impl HostFloat for f32 {}
 impl HostFloat for f64 {}
 

@@ -1,12 +1,12 @@
 //! The ops as nodes of a graph: each saves what its backward needs.
 
-use burn::backend::autodiff::NodeId;
 use burn::backend::autodiff::{
     checkpoint::{base::Checkpointer, strategy::CheckpointStrategy},
     grads::Gradients,
     ops::{Backward, Ops, OpsKind, unary},
 };
 use burn::backend::{Autodiff, tensor::FloatTensor};
+use host::register;
 
 use crate::cpu::conv::ConvSize;
 use crate::cpu::predict::PredictSize;
@@ -116,19 +116,6 @@ impl<B: BpNetBackwardOps> Backward<B, 2> for Composite {
         let wanted = parents.each_ref().map(Option::is_some);
         let gradients = B::composite_backward(image, field, gradient, wanted);
         register::<B, 2>(grads, parents, gradients);
-    }
-}
-
-/// Adds each gradient to that of its parent.
-fn register<B: BpNetBackwardOps, const N: usize>(
-    grads: &mut Gradients,
-    parents: [Option<NodeId>; N],
-    gradients: [Option<FloatTensor<B>>; N],
-) {
-    for (parent, gradient) in parents.into_iter().zip(gradients) {
-        if let (Some(parent), Some(gradient)) = (parent, gradient) {
-            grads.register::<B>(parent, gradient);
-        }
     }
 }
 

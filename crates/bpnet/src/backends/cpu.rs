@@ -3,9 +3,9 @@
 use std::borrow::Cow;
 
 use burn::backend::{Backend, TensorMetadata as _, tensor::FloatTensor};
-use burn::tensor::{DType, Element, Shape, TensorData};
+use burn::tensor::Shape;
+use host::{HostBackend, HostFloat, tensor, with_float};
 
-use crate::cpu::Real;
 use crate::cpu::composite::{self, BlurSize};
 use crate::cpu::conv::{ConvSize, conv};
 use crate::cpu::conv_backward::conv_backward;
@@ -15,57 +15,6 @@ use crate::cpu::predict_backward::predict_backward;
 use crate::cpu::upsample::{self, UpsampleSize};
 use crate::encoding::axis_encoding;
 use crate::ops::{BpNetBackwardOps, BpNetOps, PREDICTOR, Predictor};
-
-/// How to get at the elements of a backend's tensors.
-trait HostBackend: Backend {
-    /// The elements in order; borrowed where they lie so already.
-    fn elements<T: Real + Element>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]>;
-}
-
-#[cfg(feature = "flex")]
-impl HostBackend for burn::backend::Flex {
-    fn elements<T: Real + Element>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]> {
-        *tensor = tensor.to_contiguous();
-        Cow::Borrowed(
-            tensor
-                .as_slice()
-                .expect("contiguous, and of the dtype that was matched"),
-        )
-    }
-}
-
-#[cfg(feature = "ndarray")]
-impl HostBackend for burn::backend::NdArray {
-    fn elements<T: Real + Element>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]> {
-        use burn::backend::ndarray::NdArrayTensor;
-        let tensor: &FloatTensor<Self> = tensor;
-        // Reading a tensor through Burn copies it, value by value.
-        let borrowed: Option<&[T]> = match tensor {
-            NdArrayTensor::F32(storage) => storage.view().to_slice().map(bytemuck::cast_slice),
-            NdArrayTensor::F64(storage) => storage.view().to_slice().map(bytemuck::cast_slice),
-            _ => None,
-        };
-        if let Some(values) = borrowed {
-            return Cow::Borrowed(values);
-        }
-        let data = burn::tensor::read_sync(
-            <Self as burn::backend::ops::FloatTensorOps<Self>>::float_into_data(tensor.clone()),
-        )
-        .expect("reading main memory cannot fail");
-        Cow::Owned(data.into_vec().expect("of the dtype that was matched"))
-    }
-}
-
-/// Calls `$function::<T, Self>` for the element type T of `$tensor`.
-macro_rules! with_float {
-    ($tensor:ident, $function:ident($($argument:expr),*)) => {
-        match $tensor.dtype() {
-            DType::F32 => $function::<f32, Self>($($argument),*),
-            DType::F64 => $function::<f64, Self>($($argument),*),
-            other => unreachable!("{other:?} is refused before"),
-        }
-    };
-}
 
 macro_rules! host_ops {
     ($backend:ty) => {
@@ -77,24 +26,23 @@ macro_rules! host_ops {
                 size: ConvSize,
                 relu: bool,
             ) -> FloatTensor<Self> {
-                with_float!(input, conv_on(input, weight, bias, size, relu))
+                with_float!(input.dtype(), T => conv_on::<T, Self>(input, weight, bias, size, relu))
             }
 
             fn instance_norm(input: FloatTensor<Self>) -> FloatTensor<Self> {
-                with_float!(input, instance_norm_on(input)).0
+                with_float!(input.dtype(), T => instance_norm_on::<T, Self>(input)).0
             }
 
             fn predict(predictor: Predictor<Self>, size: PredictSize) -> FloatTensor<Self> {
-                let features = &predictor.features;
-                with_float!(features, predict_on(predictor, size))
+                with_float!(predictor.features.dtype(), T => predict_on::<T, Self>(predictor, size))
             }
 
             fn upsample(input: FloatTensor<Self>, size: UpsampleSize) -> FloatTensor<Self> {
-                with_float!(input, upsample_on(input, size))
+                with_float!(input.dtype(), T => upsample_on::<T, Self>(input, size))
             }
 
             fn composite(image: FloatTensor<Self>, field: FloatTensor<Self>) -> FloatTensor<Self> {
-                with_float!(image, composite_on(image, field))
+                with_float!(image.dtype(), T => composite_on::<T, Self>(image, field))
             }
         }
 
@@ -107,16 +55,13 @@ macro_rules! host_ops {
                 size: ConvSize,
                 wanted: [bool; 3],
             ) -> [Option<FloatTensor<Self>>; 3] {
-                with_float!(
-                    input,
-                    conv_backward_on(input, weight, output, gradient, size, wanted)
-                )
+                with_float!(input.dtype(), T => conv_backward_on::<T, Self>(input, weight, output, gradient, size, wanted))
             }
 
             fn instance_norm_saved(
                 input: FloatTensor<Self>,
             ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-                with_float!(input, instance_norm_on(input))
+                with_float!(input.dtype(), T => instance_norm_on::<T, Self>(input))
             }
 
             fn instance_norm_backward(
@@ -124,7 +69,7 @@ macro_rules! host_ops {
                 scale: FloatTensor<Self>,
                 gradient: FloatTensor<Self>,
             ) -> FloatTensor<Self> {
-                with_float!(output, instance_norm_backward_on(output, scale, gradient))
+                with_float!(output.dtype(), T => instance_norm_backward_on::<T, Self>(output, scale, gradient))
             }
 
             fn predict_backward(
@@ -134,17 +79,14 @@ macro_rules! host_ops {
                 size: PredictSize,
                 wanted: [bool; PREDICTOR],
             ) -> [Option<FloatTensor<Self>>; PREDICTOR] {
-                with_float!(
-                    output,
-                    predict_backward_on(predictor, output, gradient, size, wanted)
-                )
+                with_float!(output.dtype(), T => predict_backward_on::<T, Self>(predictor, output, gradient, size, wanted))
             }
 
             fn upsample_backward(
                 gradient: FloatTensor<Self>,
                 size: UpsampleSize,
             ) -> FloatTensor<Self> {
-                with_float!(gradient, upsample_backward_on(gradient, size))
+                with_float!(gradient.dtype(), T => upsample_backward_on::<T, Self>(gradient, size))
             }
 
             fn composite_backward(
@@ -153,7 +95,7 @@ macro_rules! host_ops {
                 gradient: FloatTensor<Self>,
                 wanted: [bool; 2],
             ) -> [Option<FloatTensor<Self>>; 2] {
-                with_float!(image, composite_backward_on(image, field, gradient, wanted))
+                with_float!(image.dtype(), T => composite_backward_on::<T, Self>(image, field, gradient, wanted))
             }
         }
     };
@@ -162,15 +104,6 @@ macro_rules! host_ops {
 host_ops!(burn::backend::Flex);
 #[cfg(feature = "ndarray")]
 host_ops!(burn::backend::NdArray);
-
-/// A tensor on the device of `like`.
-fn tensor<T: Element, B: Backend>(
-    values: Vec<T>,
-    shape: Shape,
-    like: &FloatTensor<B>,
-) -> FloatTensor<B> {
-    B::float_from_data(TensorData::new(values, shape), &like.device())
-}
 
 /// Sizes of a field `[H, W, K * K + 1]`.
 fn blur_size<B: Backend>(field: &FloatTensor<B>) -> BlurSize {
@@ -182,7 +115,7 @@ fn blur_size<B: Backend>(field: &FloatTensor<B>) -> BlurSize {
     }
 }
 
-fn composite_on<T: Real + Element, B: HostBackend>(
+fn composite_on<T: HostFloat, B: HostBackend>(
     mut image: FloatTensor<B>,
     mut field: FloatTensor<B>,
 ) -> FloatTensor<B> {
@@ -196,7 +129,7 @@ fn composite_on<T: Real + Element, B: HostBackend>(
     tensor::<T, B>(output, shape, &image)
 }
 
-fn composite_backward_on<T: Real + Element, B: HostBackend>(
+fn composite_backward_on<T: HostFloat, B: HostBackend>(
     mut image: FloatTensor<B>,
     mut field: FloatTensor<B>,
     mut gradient: FloatTensor<B>,
@@ -217,7 +150,7 @@ fn composite_backward_on<T: Real + Element, B: HostBackend>(
 }
 
 /// Calls `run` with a predictor on slices.
-fn with_predictor<T: Real + Element, B: HostBackend, R>(
+fn with_predictor<T: HostFloat, B: HostBackend, R>(
     tensors: &mut [FloatTensor<B>; PREDICTOR],
     size: PredictSize,
     run: impl FnOnce(&predict::Predictor<'_, T>) -> R,
@@ -225,7 +158,7 @@ fn with_predictor<T: Real + Element, B: HostBackend, R>(
     let encoding = |length: usize| -> Vec<T> {
         let axis = axis_encoding(length);
         let values = axis.as_flattened().iter();
-        values.map(|&v| T::from_f64(f64::from(v))).collect()
+        values.map(|&v| T::of(f64::from(v))).collect()
     };
     let elements: [Cow<'_, [T]>; PREDICTOR] = tensors.each_mut().map(B::elements::<T>);
     let dense = |layer: usize| Dense {
@@ -243,7 +176,7 @@ fn with_predictor<T: Real + Element, B: HostBackend, R>(
     })
 }
 
-fn predict_on<T: Real + Element, B: HostBackend>(
+fn predict_on<T: HostFloat, B: HostBackend>(
     predictor: Predictor<B>,
     size: PredictSize,
 ) -> FloatTensor<B> {
@@ -253,7 +186,7 @@ fn predict_on<T: Real + Element, B: HostBackend>(
     tensor::<T, B>(output, shape, &tensors[0])
 }
 
-fn predict_backward_on<T: Real + Element, B: HostBackend>(
+fn predict_backward_on<T: HostFloat, B: HostBackend>(
     predictor: Predictor<B>,
     mut output: FloatTensor<B>,
     mut gradient: FloatTensor<B>,
@@ -280,7 +213,7 @@ fn predict_backward_on<T: Real + Element, B: HostBackend>(
     })
 }
 
-fn upsample_on<T: Real + Element, B: HostBackend>(
+fn upsample_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     size: UpsampleSize,
 ) -> FloatTensor<B> {
@@ -289,7 +222,7 @@ fn upsample_on<T: Real + Element, B: HostBackend>(
     tensor::<T, B>(output, shape, &input)
 }
 
-fn upsample_backward_on<T: Real + Element, B: HostBackend>(
+fn upsample_backward_on<T: HostFloat, B: HostBackend>(
     mut gradient: FloatTensor<B>,
     size: UpsampleSize,
 ) -> FloatTensor<B> {
@@ -298,7 +231,7 @@ fn upsample_backward_on<T: Real + Element, B: HostBackend>(
     tensor::<T, B>(input_gradient, shape, &gradient)
 }
 
-fn conv_on<T: Real + Element, B: HostBackend>(
+fn conv_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     mut weight: FloatTensor<B>,
     mut bias: FloatTensor<B>,
@@ -316,7 +249,7 @@ fn conv_on<T: Real + Element, B: HostBackend>(
     tensor::<T, B>(output, shape, &input)
 }
 
-fn conv_backward_on<T: Real + Element, B: HostBackend>(
+fn conv_backward_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     mut weight: FloatTensor<B>,
     mut output: Option<FloatTensor<B>>,
@@ -344,7 +277,7 @@ fn conv_backward_on<T: Real + Element, B: HostBackend>(
     ]
 }
 
-fn instance_norm_on<T: Real + Element, B: HostBackend>(
+fn instance_norm_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
 ) -> (FloatTensor<B>, FloatTensor<B>) {
     let channels = input.shape()[1];
@@ -355,7 +288,7 @@ fn instance_norm_on<T: Real + Element, B: HostBackend>(
     )
 }
 
-fn instance_norm_backward_on<T: Real + Element, B: HostBackend>(
+fn instance_norm_backward_on<T: HostFloat, B: HostBackend>(
     mut output: FloatTensor<B>,
     mut scale: FloatTensor<B>,
     mut gradient: FloatTensor<B>,

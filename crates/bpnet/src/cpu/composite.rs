@@ -13,7 +13,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::{Real, vectorized, zeros};
+use host::{Real, filled, vectorized};
 
 /// Channels of the output: picture 3, centroid 2 (x before y), centre weight, intensity.
 pub(crate) const CHANNELS: usize = 7;
@@ -65,7 +65,7 @@ macro_rules! with_kernel_size {
 /// `[H, W, K² + 1]`: every pixel's kernel and intensity.
 pub(crate) fn composite<T: Real>(image: &[T], field: &[T], size: BlurSize) -> Vec<T> {
     let _span = trace_span!("composite").entered();
-    let mut output = zeros(size.height * size.width * CHANNELS);
+    let mut output = filled(T::ZERO, size.height * size.width * CHANNELS);
     if output.is_empty() {
         return output;
     }
@@ -98,7 +98,7 @@ pub(crate) fn composite_backward<T: Real>(
 ) -> [Option<Vec<T>>; 2] {
     let _span = trace_span!("composite backward").entered();
     let [image_wanted, field_wanted] = wanted;
-    let mut field_gradient = zeros(if field_wanted { field.len() } else { 0 });
+    let mut field_gradient = filled(T::ZERO, if field_wanted { field.len() } else { 0 });
     if image.is_empty() {
         return [
             image_wanted.then(Vec::new),
@@ -163,7 +163,7 @@ impl<T: Real> Planes<T> {
         let half = size.kernel / 2;
         let stride = size.padded_width();
         let plane = (size.height + size.kernel - 1) * stride;
-        let mut values = zeros(4 * plane);
+        let mut values = filled(T::ZERO, 4 * plane);
         for (y, row) in image.chunks_exact(size.width * 3).enumerate() {
             let start = (y + half) * stride + half;
             for (x, pixel) in row.chunks_exact(3).enumerate() {
@@ -233,7 +233,7 @@ impl<T: Real> Window<T> {
         let fold = |lanes: [T; K]| lanes.into_iter().fold(T::ZERO, |a, b| a + b);
         let [r, g, b, inside] = sums.map(fold);
         let shift = [fold(columns), fold(vertical)];
-        if inside < T::from_f64(LEAST_SUM) {
+        if inside < T::of(LEAST_SUM) {
             return Self {
                 mean: planes.pixel::<K>(y, x),
                 inside: T::ZERO,
@@ -251,7 +251,7 @@ impl<T: Real> Window<T> {
 /// Distance of column or row `k` of a window from its centre, px.
 #[inline(always)]
 fn offset<T: Real, const K: usize>(k: usize) -> T {
-    T::from_f64(k as f64 - (K / 2) as f64)
+    T::of(k as f64 - (K / 2) as f64)
 }
 
 #[inline(always)]
@@ -273,7 +273,7 @@ fn band_forward<T: Real, const K: usize>(
         let own = planes.pixel::<K>(y, x);
         for c in 0..3 {
             // Exact at both ends, and where blurred and sharp agree.
-            output[c] = if m < T::from_f64(0.5) {
+            output[c] = if m < T::of(0.5) {
                 own[c] + m * (window.mean[c] - own[c])
             } else {
                 window.mean[c] - (T::ONE - m) * (window.mean[c] - own[c])
@@ -365,7 +365,7 @@ fn band_backward<T: Real, const K: usize>(
 fn merge_bands<T: Real>(bands: &[Vec<T>], size: BlurSize) -> Vec<T> {
     let half = size.kernel / 2;
     let stride = size.padded_width();
-    let mut output = zeros(size.height * size.width * 3);
+    let mut output = filled(T::ZERO, size.height * size.width * 3);
     for (band, values) in bands.iter().enumerate() {
         let plane = values.len() / 3;
         for row in 0..plane / stride {

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use tracing::trace_span;
 
 use super::product::{Packed, Product};
-use super::{Real, zeros};
+use host::{Real, filled};
 
 /// Sizes of a convolution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +67,7 @@ pub(super) fn padded<T: Real>(
     }
     let row = size.width * channels;
     let stride = size.padded_width() * channels;
-    let mut values = zeros((size.height + 2 * half) * stride);
+    let mut values = filled(T::ZERO, (size.height + 2 * half) * stride);
     values[half * stride..]
         .par_chunks_mut(stride)
         .zip(picture.par_chunks(row))
@@ -94,7 +94,7 @@ impl<T: Real, W: Fn(usize, usize) -> T> WithSimd for Forward<'_, T, W> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Vec<T> {
         let size = self.size;
-        let mut output = zeros(size.height * size.width * size.outputs);
+        let mut output = filled(T::ZERO, size.height * size.width * size.outputs);
         if output.is_empty() {
             return output;
         }

@@ -9,7 +9,7 @@ use tracing::trace_span;
 
 use super::conv::{ConvSize, Forward, padded};
 use super::product::{OuterProducts, padded_columns};
-use super::{Real, zeros};
+use host::{Real, filled};
 
 /// Pieces of an image that the gradient of the weights is summed over.
 const BANDS: usize = 16;
@@ -35,7 +35,7 @@ pub(crate) fn conv_backward<T: Real>(
 ) -> ConvGradients<T> {
     let masked: Option<Vec<T>> = output.map(|output| {
         let _span = trace_span!("relu backward").entered();
-        let mut masked = zeros(gradient.len());
+        let mut masked = filled(T::ZERO, gradient.len());
         let rows = MASK_ROWS * size.outputs;
         masked
             .par_chunks_mut(rows)

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::{Real, vectorized, zeros};
+use host::{Real, filled, vectorized};
 
 /// Rows that one task works on.
 const ROWS: usize = 512;
@@ -15,7 +15,7 @@ const EPSILON: f64 = 1e-5;
 /// Returns y and the reciprocals of the roots.
 pub(crate) fn instance_norm<T: Real>(input: &[T], channels: usize) -> (Vec<T>, Vec<T>) {
     let _span = trace_span!("instance norm").entered();
-    let count = T::from_f64((input.len() / channels) as f64);
+    let count = T::of((input.len() / channels) as f64);
     let mut mean: Vec<T> = column_sums(
         input.len(),
         channels,
@@ -47,9 +47,9 @@ pub(crate) fn instance_norm<T: Real>(input: &[T], channels: usize) -> (Vec<T>, V
         },
     );
     for scale in &mut scale {
-        *scale = T::ONE / T::sqrt(*scale / count + T::from_f64(EPSILON));
+        *scale = T::ONE / T::sqrt(*scale / count + T::of(EPSILON));
     }
-    let mut output = zeros(input.len());
+    let mut output = filled(T::ZERO, input.len());
     for_rows(
         &mut output,
         channels,
@@ -73,7 +73,7 @@ pub(crate) fn instance_norm<T: Real>(input: &[T], channels: usize) -> (Vec<T>, V
 pub(crate) fn instance_norm_backward<T: Real>(output: &[T], scale: &[T], gradient: &[T]) -> Vec<T> {
     let _span = trace_span!("instance norm backward").entered();
     let channels = scale.len();
-    let count = T::from_f64((output.len() / channels) as f64);
+    let count = T::of((output.len() / channels) as f64);
     let mut means: Vec<T> = column_sums(
         output.len(),
         channels,
@@ -96,7 +96,7 @@ pub(crate) fn instance_norm_backward<T: Real>(output: &[T], scale: &[T], gradien
         *mean = *mean / count;
     }
     let (plain, weighted) = means.split_at(channels);
-    let mut input_gradient = zeros(output.len());
+    let mut input_gradient = filled(T::ZERO, output.len());
     for_rows(
         &mut input_gradient,
         channels,

@@ -11,7 +11,8 @@ use rayon::prelude::*;
 use tracing::trace_span;
 
 use super::product::{Packed, Product};
-use super::{Real, reduce, zeros};
+use super::reduce;
+use host::{Real, filled};
 
 /// Channels of the hidden layers.
 pub(crate) const HIDDEN: usize = 64;
@@ -220,7 +221,7 @@ impl<T: Real> WithSimd for Forward<'_, T> {
         let net = self.0;
         let outputs = net.size.outputs();
         let weights = Weights::new::<S>(net);
-        let mut output = zeros(net.size.pixels() * outputs);
+        let mut output = filled(T::ZERO, net.size.pixels() * outputs);
         output
             .par_chunks_mut(TASK * TILE * outputs)
             .enumerate()

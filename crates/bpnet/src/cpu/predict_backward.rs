@@ -7,9 +7,10 @@ use rayon::prelude::*;
 use tracing::trace_span;
 
 use super::conv_backward::sum_parts;
+use super::dot;
 use super::predict::{FEATURES, HIDDEN, Hidden, Predictor, TILE, Weights};
 use super::product::{OuterProducts, Product, padded_columns};
-use super::{Real, dot, zeros};
+use host::{Real, filled};
 
 /// Pieces of an image that gradients of parameters are summed over.
 const BANDS: usize = 16;
@@ -59,11 +60,14 @@ impl<T: Real> WithSimd for Backward<'_, T> {
         let widths = [HIDDEN, HIDDEN, HIDDEN, columns];
         let tiles = size.pixels().div_ceil(TILE);
         let per_band = tiles.div_ceil(BANDS).max(1) * TILE;
-        let mut features = zeros(if self.features_wanted {
-            size.pixels() * FEATURES
-        } else {
-            0
-        });
+        let mut features = filled(
+            T::ZERO,
+            if self.features_wanted {
+                size.pixels() * FEATURES
+            } else {
+                0
+            },
+        );
         let bands = size.pixels().div_ceil(per_band);
         let mut pieces: Vec<&mut [T]> = if self.features_wanted {
             features.chunks_mut(per_band * FEATURES).collect()

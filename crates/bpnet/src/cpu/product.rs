@@ -3,7 +3,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::Real;
+use host::Real;
 
 /// A weight matrix `[taps, outputs]` and its bias, in blocks of two vectors of outputs, each with all
 /// taps; zeros fill the last block.
@@ -91,9 +91,9 @@ impl<T: Real> Product<'_, T> {
         let (taps, outputs) = (weights.taps, weights.outputs);
         let block = 2 * T::lanes::<S>();
         let last = output.len() / output_step - 1;
-        let (packed, _) = T::as_vectors::<S>(&weights.values);
+        let packed = T::vectors::<S>(&weights.values);
         let (packed, _) = packed.as_chunks::<2>();
-        let (bias, _) = T::as_vectors::<S>(&weights.bias);
+        let bias = T::vectors::<S>(&weights.bias);
         let (bias, _) = bias.as_chunks::<2>();
         for first in (0..=last).step_by(P) {
             for (index, (weights, &bias)) in packed.chunks_exact(taps).zip(bias).enumerate() {
@@ -188,7 +188,7 @@ impl<T: Real> OuterProducts<'_, T> {
         let values = &self.values[j..][..(pixels - 1) * step + J];
         for pixel in 0..pixels {
             let gradient = &self.gradient[pixel * columns + column..][..2 * lanes];
-            let (gradient, _) = T::as_vectors::<S>(gradient);
+            let gradient = T::vectors::<S>(gradient);
             let (g0, g1) = (gradient[0], gradient[1]);
             let values = &values[pixel * step..][..J];
             for j in 0..J {

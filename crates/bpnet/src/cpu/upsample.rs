@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::{Real, vectorized, zeros};
+use host::{Real, filled, vectorized};
 
 /// Sizes of an enlargement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +42,7 @@ pub(crate) fn upsample<T: Real>(input: &[T], size: UpsampleSize) -> Vec<T> {
     let _span = trace_span!("upsample").entered();
     let [rows, columns] = size.taps();
     let (line, channels) = (size.from[1] * size.channels, size.channels);
-    let mut output = zeros(size.to[0] * size.to[1] * channels);
+    let mut output = filled(T::ZERO, size.to[0] * size.to[1] * channels);
     output
         .par_chunks_mut((size.to[1] * channels).max(1))
         .zip(rows)
@@ -70,7 +70,7 @@ pub(crate) fn upsample<T: Real>(input: &[T], size: UpsampleSize) -> Vec<T> {
 
 #[inline(always)]
 fn mix<T: Real>(a: &[T], b: &[T], share: f64, out: &mut [T]) {
-    let share = T::from_f64(share);
+    let share = T::of(share);
     for (out, (&a, &b)) in out.iter_mut().zip(a.iter().zip(b)) {
         *out = a + share * (b - a);
     }
@@ -81,7 +81,7 @@ pub(crate) fn upsample_backward<T: Real>(gradient: &[T], size: UpsampleSize) -> 
     let _span = trace_span!("upsample backward").entered();
     let [rows, columns] = size.taps();
     let (channels, width) = (size.channels, size.to[1]);
-    let mut output = zeros(size.from[0] * size.from[1] * channels);
+    let mut output = filled(T::ZERO, size.from[0] * size.from[1] * channels);
     output
         .par_chunks_mut((size.from[1] * channels).max(1))
         .enumerate()
@@ -105,7 +105,7 @@ pub(crate) fn upsample_backward<T: Real>(gradient: &[T], size: UpsampleSize) -> 
                             gradient.chunks_exact(channels).zip(&columns)
                         {
                             for (x, share) in [(left, 1.0 - share), (right, share)] {
-                                let share = T::from_f64(weight * share);
+                                let share = T::of(weight * share);
                                 let output = &mut output[x * channels..][..channels];
                                 for (sum, &g) in output.iter_mut().zip(gradient) {
                                     *sum += share * g;

@@ -6,8 +6,6 @@
 //! constants of gsplat. Results have the same bits with any number of threads: all work is cut in
 //! fixed pieces and every sum has a fixed order.
 
-use rayon::iter::ParallelIterator as _;
-
 mod backward;
 mod blocks;
 mod geometry;
@@ -18,7 +16,6 @@ mod raster;
 mod raster_backward;
 mod real;
 mod sh;
-mod simd;
 #[cfg(test)]
 mod tests;
 mod tiles;
@@ -28,7 +25,6 @@ pub use backward::{BackwardOptions, Gradients, backward};
 pub use project::{Projection, project};
 pub use raster::{Raster, RasterState, rasterize};
 pub use real::Real;
-pub use simd::Vectors;
 pub use types::{SplatSlices, View};
 
 /// Side of a square tile in pixels, and the number of lanes of the inner loops.
@@ -41,11 +37,6 @@ pub const MIN_ALPHA: f64 = 1.0 / 255.0;
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 /// Low-pass filter: added to the diagonal of the 2D covariance, in square pixels.
 pub const LOW_PASS: f64 = 0.3;
-
-/// A large buffer, filled by all threads: one alone takes longer for it than many a kernel for its work.
-fn filled<V: Copy + Send + Sync>(value: V, count: usize) -> Vec<V> {
-    rayon::iter::repeat_n(value, count).collect()
-}
 
 /// Channels of the output before the features: colour 3, alpha 1, depth 1.
 pub const BASE_CHANNELS: usize = 5;

@@ -6,6 +6,8 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use host::filled;
+
 use super::geometry::{
     Geometry, Lens, Shapes, column, mul_transpose3, pose_rotation, project_some,
     quaternion_gradient, transpose_mul3, view_directions,
@@ -13,7 +15,7 @@ use super::geometry::{
 use super::packs::{Number, Pack, WIDEST, array, arrays};
 use super::project::{CHUNK, sh_color, sigmoid};
 use super::raster_backward::GEOMETRIC;
-use super::{BackwardOptions, Gradients, Projection, Real, SplatSlices, filled, sh};
+use super::{BackwardOptions, Gradients, Projection, Real, SplatSlices, sh};
 
 /// The output rows of one piece of work.
 struct Piece<'a, T> {

@@ -3,11 +3,11 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use host::filled;
+
 use super::blocks::{ACROSS, BLOCK, BLOCKS, PerChannel, Pixels, blocks_under, centers, place};
 use super::project::{Splat, find_not_finite};
-use super::{
-    BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Projection, Real, TILE, filled,
-};
+use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Projection, Real, TILE};
 use crate::SplatError;
 
 /// An alpha threshold that no alpha reaches: marks pixels that are done.

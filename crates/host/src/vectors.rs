@@ -1,11 +1,11 @@
 //! Vectors of the float types, with the instructions that the machine has.
 
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
 
 /// `f32` or `f64` in vectors: the operations of the inner loops.
 pub trait Vectors: Sized {
     /// A vector of the machine.
-    type Vector<S: Simd>: Copy;
+    type Vector<S: Simd>: Copy + Send + Sync + bytemuck::Pod;
     /// The result of comparing two of them.
     type Mask<S: Simd>: Copy;
     /// Values in a vector.
@@ -59,6 +59,20 @@ pub trait Vectors: Sized {
     /// For `f32` it has no branch, a relative error under 2e-7 up to 80, and stays at `exp(-80)` beyond;
     /// for `f64` it is the library's.
     fn exp_neg<S: Simd>(simd: S, x: Self::Vector<S>) -> Self::Vector<S>;
+}
+
+/// Runs `work` with the machine's vectors. (pulp takes closures as they are too, but calls them in a way that is not always
+/// inlined, and what is not knows nothing of the vectors.)
+pub fn vectorized<R>(work: impl FnMut() -> R) -> R {
+    struct Work<F>(F);
+    impl<R, F: FnMut() -> R> WithSimd for Work<F> {
+        type Output = R;
+        #[inline(always)]
+        fn with_simd<S: Simd>(mut self, _: S) -> R {
+            (self.0)()
+        }
+    }
+    pulp::Arch::new().dispatch(Work(work))
 }
 
 /// The operations on vectors that both float types have in one form.
