@@ -23,8 +23,9 @@ pub fn checkpoint(scenes: &Path, bytes: &[u8]) -> Result<(), TrainError> {
         ];
         assert_eq!(lengths, [model.num_gaussians(); 5], "rows");
     }
-    for (name, parameter) in model.parameters() {
-        let values: Vec<f32> = parameter.into_data().try_to_vec().expect("f32");
+    for (parameter, tensor) in model.parameters() {
+        let name = parameter.name;
+        let values: Vec<f32> = tensor.into_data().try_to_vec().expect("f32");
         assert!(values.iter().all(|v| v.is_finite()), "{name}: {values:?}");
     }
     Ok(())

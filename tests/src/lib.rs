@@ -10,6 +10,7 @@ pub use gradcheck::{GradLimits, GradReport, check_gradients, directional_report}
 pub use property::{property, uniform};
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use std::error::Error;
 
 /// Every backend that is compiled in, by the name `--backend` gives it.
 ///
@@ -67,6 +68,16 @@ pub fn unit_noise(count: usize, seed: usize) -> Vec<f64> {
     (0..count)
         .map(|i| ((i * 7919 + seed * 104_729 + i * i * 31) % 10_007) as f64 / 10_007.0)
         .collect()
+}
+
+/// An error and what caused it.
+#[must_use]
+pub fn with_causes(error: &dyn Error) -> String {
+    let causes = std::iter::successors(Some(error), |&e| e.source());
+    causes
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join(": ")
 }
 
 /// Runs `f` where rayon has so many threads.

@@ -5,7 +5,7 @@ use limpid_tests::{tiny, values};
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::process::Command;
-use trainer::Trainer;
+use trainer::{BlurModel, Trainer};
 
 /// Tells a process of this test that it is one of the runs, and at which iteration it saves and loads (0: never).
 const RUN: &str = "LIMPID_DETERMINISM_RELOAD_AT";
@@ -34,17 +34,17 @@ fn train(reload_at: usize) -> String {
     assert!(sizes.len() > 2, "density control did nothing: {sizes:?}");
     let model = trainer.model();
     assert!(
-        model.blur.is_some() && model.motion.is_some(),
+        !matches!(model.blur, BlurModel::Off) && model.world.motion.is_some(),
         "a part is missing"
     );
-    for (name, parameter) in trainer.model().parameters() {
+    for (parameter, tensor) in trainer.model().parameters() {
         // FNV-1a.
-        let bits = values(parameter)
+        let bits = values(tensor)
             .into_iter()
             .fold(0xcbf2_9ce4_8422_2325_u64, |hash, v| {
                 (hash ^ v.to_bits()).wrapping_mul(0x0100_0000_01b3)
             });
-        write!(text, "\n{name} {bits:016x}").expect("writing to a string");
+        write!(text, "\n{} {bits:016x}", parameter.name).expect("writing to a string");
     }
     text
 }

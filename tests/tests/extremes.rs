@@ -10,7 +10,7 @@ use limpid_tests::{devices, noise, tensor, tiny, values};
 use motion_bases::MotionBases;
 use splat_core::cpu::{SplatSlices, View, project, rasterize};
 use splat_core::{Camera, SplatError};
-use trainer::{Settings, TrainError, Trainer};
+use trainer::{SceneProblem, Settings, TrainError, Trainer};
 
 const BROKEN: [f32; 3] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
 
@@ -235,8 +235,9 @@ fn train(
         let report = trainer.step()?;
         assert!(report.loss.is_finite(), "the loss is {}", report.loss);
     }
-    for (name, parameter) in trainer.model().parameters() {
-        assert!(values(parameter).iter().all(|v| v.is_finite()), "{name}");
+    for (parameter, tensor) in trainer.model().parameters() {
+        let name = parameter.name;
+        assert!(values(tensor).iter().all(|v| v.is_finite()), "{name}");
     }
     let evaluation = trainer.evaluate()?;
     assert!(evaluation.test.is_some(), "no score");
@@ -282,12 +283,13 @@ fn whole_training_steps_survive_scenes_with_almost_nothing_in_them() {
             // Every part of the method is on from iteration 60; scenes with nothing to place are refused, in words.
             match train(scene.clone(), settings, 62, &device) {
                 Ok(()) => {}
-                Err(TrainError::Scene(message)) => {
+                Err(TrainError::Scene(problem)) => {
                     let nothing = ["no depth at any pixel", "pictures of 1 x 1"].contains(name);
-                    assert!(
-                        nothing && !message.is_empty(),
-                        "{device_name}, {name}: {message}"
+                    let said = matches!(
+                        problem,
+                        SceneProblem::NoDepth | SceneProblem::NothingToPlace
                     );
+                    assert!(nothing && said, "{device_name}, {name}: {problem}");
                 }
                 Err(error) => panic!("{device_name}, {name}: {error}"),
             }

@@ -7,7 +7,8 @@ use trainer::{TrainError, Trainer};
 fn train_into_fault(mut trainer: Trainer) -> (TrainError, Trainer) {
     let state = |trainer: &Trainer| -> Vec<(String, Vec<f64>)> {
         let all = trainer.model().parameters().into_iter();
-        all.map(|(name, tensor)| (name, values(tensor))).collect()
+        all.map(|(parameter, tensor)| (parameter.name, values(tensor)))
+            .collect()
     };
     loop {
         let (iteration, before) = (trainer.iteration(), state(&trainer));

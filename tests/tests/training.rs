@@ -3,9 +3,9 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use io::Scene;
 use limpid_tests::tiny::{camera, pose, scene, settings};
-use limpid_tests::{devices, in_pool};
+use limpid_tests::{devices, in_pool, with_causes};
 use splat_core::{RenderOptions, Splats, pose_rows, render};
-use trainer::Trainer;
+use trainer::{BlurModel, Trainer};
 
 /// The bits of all parameters, and the losses, after `steps` iterations.
 fn train(device: &Device, steps: usize) -> (Vec<f64>, Vec<(String, Vec<u32>)>) {
@@ -19,7 +19,8 @@ fn train(device: &Device, steps: usize) -> (Vec<f64>, Vec<(String, Vec<u32>)>) {
 fn bits(trainer: &Trainer) -> Vec<(String, Vec<u32>)> {
     let parameters = trainer.model().parameters().into_iter();
     parameters
-        .map(|(name, t)| {
+        .map(|(parameter, t)| {
+            let name = parameter.name;
             let values = t.try_into_vec_as::<f32>().expect("readable");
             (name, values.into_iter().map(f32::to_bits).collect())
         })
@@ -80,7 +81,7 @@ fn sixty_steps_lower_the_loss_and_use_every_part() {
             assert!(terms.contains(term), "{name}: no term {term} in {terms:?}");
         }
         assert!(
-            trainer.model().num_dynamic > start.num_dynamic,
+            trainer.model().num_dynamic() > start.num_dynamic(),
             "{name}: dynamic densification adds Gaussians"
         );
         for (parameter, after) in trainer.model().parameters() {
@@ -96,7 +97,7 @@ fn sixty_steps_lower_the_loss_and_use_every_part() {
                     .max()
                     .into_scalar::<f32>()
                     > 0.0;
-            assert!(moved, "{name}: {parameter} has not moved");
+            assert!(moved, "{name}: {} has not moved", parameter.name);
         }
     }
 }
@@ -150,9 +151,8 @@ fn a_broken_checkpoint_is_an_error_that_names_the_file() {
     std::fs::write(&file, &whole).expect("written");
     let mut shorter = scene();
     shorter.frames.pop();
-    let error = Trainer::load(folder.path(), shorter, &device)
-        .expect_err("another scene")
-        .to_string();
+    let error = Trainer::load(folder.path(), shorter, &device).expect_err("another scene");
+    let error = with_causes(&error);
     assert!(
         error.contains("6 frames") && error.contains("has 5"),
         "{error}"
@@ -196,7 +196,7 @@ fn a_mover_that_fills_the_view_leaves_nothing_static_and_trains() {
     }
     let mut trainer = Trainer::new(filled, settings(), &Device::flex()).expect("a trainer");
     assert_eq!(
-        trainer.model().num_dynamic,
+        trainer.model().num_dynamic(),
         trainer.model().num_gaussians(),
         "nothing is static"
     );
@@ -217,10 +217,13 @@ fn dynamic_densification_finds_room_under_the_limit() {
     for _ in 0..79 {
         trainer.step().expect("a step");
     }
-    let (all, dynamic) = (trainer.model().num_gaussians(), trainer.model().num_dynamic);
+    let (all, dynamic) = (
+        trainer.model().num_gaussians(),
+        trainer.model().num_dynamic(),
+    );
     trainer.step().expect("a step");
     assert_eq!(trainer.schedule().densify_dynamic_at, Some(80));
-    let added = trainer.model().num_dynamic - dynamic;
+    let added = trainer.model().num_dynamic() - dynamic;
     assert!(
         added > 0 && trainer.model().num_gaussians() == 20_000,
         "{all} Gaussians, then {added} more"
@@ -233,8 +236,9 @@ fn a_static_scene_without_blur_models_neither() {
     let mut settings = settings();
     settings.blur.enabled = false;
     let mut trainer = Trainer::new(still, settings, &Device::flex()).expect("a trainer");
-    assert!(trainer.model().motion.is_none() && trainer.model().blur.is_none());
-    assert_eq!(trainer.model().num_dynamic, 0);
+    assert!(trainer.model().world.motion.is_none());
+    assert!(matches!(trainer.model().blur, BlurModel::Off));
+    assert_eq!(trainer.model().num_dynamic(), 0);
     for _ in 0..30 {
         trainer.step().expect("a step");
     }
@@ -242,14 +246,14 @@ fn a_static_scene_without_blur_models_neither() {
         .model()
         .parameters()
         .into_iter()
-        .map(|(name, _)| name)
+        .map(|(parameter, _)| parameter.name)
         .collect();
     assert!(
         names.iter().all(|name| name.starts_with("gaussians.")),
         "{names:?}"
     );
     let evaluation = trainer.evaluate().expect("scores");
-    assert_eq!(evaluation.kernel_centroid_px, None);
+    assert_eq!(evaluation.blur, None);
     assert!(evaluation.test.expect("test views").mean.psnr > 15.0);
 }
 
@@ -289,6 +293,7 @@ fn posed_gaussians_look_like_the_moving_scene() {
             .color();
         let drawn = drawn.try_into_vec_as::<f32>().expect("readable");
         let rendered = trainer
+            .run()
             .render_view(&camera, &pose(2.0), time)
             .expect("a picture")
             .pixels;

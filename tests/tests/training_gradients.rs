@@ -1,19 +1,21 @@
 //! One whole training loss: the gradient of every parameter group against f64 differences.
 
 use burn::tensor::{DType, Tensor};
-use limpid_tests::{GradLimits, devices, directional_report, noise, tensor, tiny, values};
+use limpid_tests::{
+    GradLimits, devices, directional_report, noise, tensor as tensor_of, tiny, values,
+};
 use trainer::{Model, Trainer};
 
 /// A model with its parameters in f64, moved by `step` where the name is `moved`.
 fn in_f64(model: &Model, moved: &str, step: &[f64]) -> Model {
     let mut model = model.clone();
-    for (name, parameter) in model.parameters_mut() {
-        let mut entries = values(parameter.clone());
-        if name == moved {
+    for (parameter, tensor) in model.parameters_mut() {
+        let mut entries = values(tensor.clone());
+        if parameter.name == moved {
             entries.iter_mut().zip(step).for_each(|(v, s)| *v += s);
         }
-        let device = parameter.device();
-        *parameter = tensor(&entries, parameter.dims(), &device, DType::F64).require_grad();
+        let device = tensor.device();
+        *tensor = tensor_of(&entries, tensor.dims(), &device, DType::F64).require_grad();
     }
     model
 }
@@ -21,17 +23,17 @@ fn in_f64(model: &Model, moved: &str, step: &[f64]) -> Model {
 /// The model with a second basis beside its first, and a blend of both for each Gaussian. (The scene needs but one.)
 fn with_two_bases(model: &Model) -> Model {
     let mut model = model.clone();
-    let motion = model.motion.as_mut().expect("the scene moves");
+    let motion = model.world.motion.as_mut().expect("the scene moves");
     let beside = |bases: &Tensor<2>, seed| {
         let first = bases.clone().inner().narrow(0, 0, 1);
         let change = noise(first.dims()[1], seed);
-        let change = tensor(&change, first.dims(), &first.device(), first.dtype());
+        let change = tensor_of(&change, first.dims(), &first.device(), first.dtype());
         Tensor::from_inner(Tensor::cat(vec![first.clone(), first + change * 0.05], 0))
     };
     motion.bases.rots = beside(&motion.bases.rots, 1);
     motion.bases.transls = beside(&motion.bases.transls, 2);
-    let (device, shape) = (motion.coefficients.device(), [model.num_dynamic, 2]);
-    motion.coefficients = tensor(&noise(2 * shape[0], 3), shape, &device, DType::F32);
+    let (device, shape) = (motion.coefficients.device(), [model.world.num_dynamic, 2]);
+    motion.coefficients = tensor_of(&noise(2 * shape[0], 3), shape, &device, DType::F32);
     model
 }
 
@@ -85,9 +87,10 @@ fn every_parameter_group_has_the_gradient_of_the_whole_loss() {
             Tensor::cat(values, 0).sum()
         };
         let grads = sum(terms).backward();
-        for (seed, (group, parameter)) in start.parameters().into_iter().enumerate() {
+        for (seed, (parameter, tensor)) in start.parameters().into_iter().enumerate() {
+            let group = parameter.name;
             let gradient = values(
-                parameter
+                tensor
                     .grad(&grads)
                     .unwrap_or_else(|| panic!("{name}: {group} has a gradient")),
             );

@@ -102,6 +102,15 @@ impl Config {
         parse_json(&text, &path)
     }
 
+    /// The same with the scene in another place, if one is given.
+    pub(crate) fn at(&self, scene: Option<&Path>) -> Self {
+        let mut moved = self.clone();
+        if let Some(scene) = scene {
+            moved.run.scene = Some(scene.to_owned());
+        }
+        moved
+    }
+
     /// The scene of this run, loaded.
     pub(crate) fn open_scene(&self) -> Result<io::Scene, Failure> {
         let dir =

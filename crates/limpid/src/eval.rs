@@ -3,7 +3,7 @@
 use crate::Failure;
 use crate::config::Config;
 use crate::outputs;
-use crate::render::load;
+use crate::render;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use trainer::ColorMap;
@@ -33,14 +33,16 @@ struct ColorMapFile {
 }
 
 pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
-    let trainer = load(&arguments.run, arguments.scene.as_deref())?;
+    let config = Config::of_run(&arguments.run)?;
+    let run = render::open(&arguments.run, &config)?;
+    let scene = config.at(arguments.scene.as_deref()).open_scene()?;
     let colors = match &arguments.colour_map {
         None => None,
         Some(given) => {
             let path = if given.exists() {
                 given.clone()
             } else {
-                trainer.scene().root.join(given)
+                scene.root.join(given)
             };
             let text =
                 std::fs::read_to_string(&path).map_err(|e| format!("{e}: {}", path.display()))?;
@@ -52,11 +54,11 @@ pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
             })
         }
     };
-    let evaluation = trainer.evaluate_with(colors.as_ref())?;
+    let evaluation = run.evaluate(&scene, colors.as_ref())?;
     eprintln!("{}", outputs::summary(&evaluation));
     if let Some(path) = &arguments.json {
         let seconds = outputs::read_seconds(&arguments.run.join("checkpoint"));
-        outputs::write_metrics(path, &evaluation, &Config::of_run(&arguments.run)?, seconds)?;
+        outputs::write_metrics(path, &evaluation, &config, seconds)?;
     }
     Ok(ExitCode::SUCCESS)
 }

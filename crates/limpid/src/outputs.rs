@@ -3,10 +3,11 @@
 use crate::Failure;
 use crate::config::{CONFIG_FILE, Config};
 use crate::sheet;
+use io::Scene;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
-use trainer::{Evaluation, Scores, Settings, Trainer};
+use trainer::{BlurFigures, Evaluation, Run, Scores, Settings, Trainer};
 
 /// The names of a run's results in its folder.
 const RESULTS: [&str; 5] = [
@@ -88,30 +89,36 @@ pub(crate) fn read_seconds(checkpoint: &Path) -> f64 {
 
 /// Writes all pictures and the PLY, and scores.
 pub(crate) fn write_all(trainer: &Trainer, out: &Path) -> Result<Evaluation, Failure> {
-    write_renders(trainer, &out.join("renders"))?;
+    let frames = Some(trainer.scene());
+    write_renders(trainer.run(), frames, &out.join("renders"))?;
     io::write_ply(&out.join("scene.ply"), &trainer.model().gaussians(None))?;
     Ok(trainer.evaluate()?)
 }
 
-/// Writes `test/`, `train/`, `blurred/` and `kernels.png`.
-pub(crate) fn write_renders(trainer: &Trainer, folder: &Path) -> Result<(), Failure> {
+/// Writes `test/`, `train/`, `blurred/` and `kernels.png`, whose blurry frames are those of `scene`.
+pub(crate) fn write_renders(
+    run: &Run,
+    scene: Option<&Scene>,
+    folder: &Path,
+) -> Result<(), Failure> {
     let [test, train, blurred] = ["test", "train", "blurred"].map(|name| folder.join(name));
     for made in [&test, &train, &blurred] {
         std::fs::create_dir_all(made).map_err(|e| format!("{e}: {}", made.display()))?;
     }
-    for (index, view) in trainer.scene().test.iter().enumerate() {
-        let image = trainer.render_view(&view.camera, &view.cam_from_world, view.time)?;
+    let views = run.views();
+    for (index, view) in views.test.iter().enumerate() {
+        let image = run.render_view(&view.camera, &view.cam_from_world, view.time)?;
         io::write_png(&test.join(format!("{index:05}.png")), &image)?;
     }
-    let frames = trainer.scene().frames.len();
-    let shown = sheet::frames(frames);
+    let shown = sheet::frames(views.train.len());
     let mut rows = Vec::new();
-    for (index, frame) in trainer.scene().frames.iter().enumerate() {
-        let view = trainer.render_training_view(index)?;
+    for index in 0..views.train.len() {
+        let view = run.render_training_view(index)?;
         io::write_png(&train.join(format!("{index:05}.png")), &view.sharp)?;
-        io::write_png(&blurred.join(format!("{index:05}.png")), &view.blurred)?;
+        io::write_png(&blurred.join(format!("{index:05}.png")), &view.seen)?;
+        let blurry = scene.and_then(|scene| Some(&scene.frames.get(index)?.view.image));
         if shown.contains(&index)
-            && let Some(row) = sheet::row(&frame.view.image, &view)
+            && let Some(row) = sheet::row(blurry, &view)
         {
             rows.push(row);
         }
@@ -173,12 +180,16 @@ pub(crate) fn summary(evaluation: &Evaluation) -> String {
         counts.fixed, counts.dynamic
     )
     .expect("a string takes text");
-    if let (Some(shift), Some(m)) = (evaluation.kernel_centroid_px, evaluation.mean_intensity) {
-        write!(
+    match evaluation.blur {
+        Some(BlurFigures::Kernels {
+            kernel_centroid_px,
+            mean_intensity,
+        }) => write!(
             text,
-            "; mean blur intensity {m:.2}, kernels' common shift {shift:.2} px"
+            "; mean blur intensity {mean_intensity:.2}, kernels' common shift {kernel_centroid_px:.2} px"
         )
-        .expect("a string takes text");
+        .expect("a string takes text"),
+        None => {}
     }
     text
 }

@@ -3,9 +3,10 @@
 use crate::Failure;
 use crate::config::Config;
 use crate::outputs;
+use io::Scene;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use trainer::Trainer;
+use trainer::Run;
 
 /// Arguments of `limpid render`.
 #[derive(Debug, clap::Args)]
@@ -27,16 +28,18 @@ pub(crate) struct RenderArguments {
 }
 
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
-    let trainer = load(&arguments.run, arguments.scene.as_deref())?;
+    let config = Config::of_run(&arguments.run)?;
+    let run = open(&arguments.run, &config)?;
     let out = arguments
         .out
         .clone()
         .unwrap_or_else(|| arguments.run.join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
     if arguments.ply_at.is_empty() && !arguments.ply_sequence {
-        outputs::write_renders(&trainer, &out)?;
+        let scene = frames(&config, arguments.scene.as_deref())?;
+        outputs::write_renders(&run, scene.as_ref(), &out)?;
     }
-    let model = trainer.model();
+    let model = run.model();
     for &time in &arguments.ply_at {
         if !time.is_finite() {
             return Err(format!("--ply-at {time}: give a time in training frames").into());
@@ -50,25 +53,31 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
         // A folder of its own: viewers take a folder with nothing but numbered PLY files as a sequence.
         let folder = out.join("ply");
         std::fs::create_dir_all(&folder).map_err(|e| format!("{e}: {}", folder.display()))?;
-        for (index, frame) in trainer.scene().frames.iter().enumerate() {
+        for (index, view) in run.views().train.iter().enumerate() {
             let path = folder.join(format!("frame_{index:04}.ply"));
-            io::write_ply(&path, &model.gaussians(Some(frame.view.time)))?;
+            io::write_ply(&path, &model.gaussians(Some(view.time)))?;
         }
     }
     eprintln!("written to {}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 
-/// The trainer of a run, from its checkpoint.
-pub(crate) fn load(run: &Path, scene: Option<&Path>) -> Result<Trainer, Failure> {
-    let mut config = Config::of_run(run)?;
-    if let Some(scene) = scene {
-        config.run.scene = Some(scene.to_owned());
-    }
-    let device = config.run.backend.device()?;
-    Ok(Trainer::load(
-        &run.join("checkpoint"),
-        config.open_scene()?,
-        &device,
+/// The run in a folder, from its checkpoint.
+pub(crate) fn open(folder: &Path, config: &Config) -> Result<Run, Failure> {
+    Ok(Run::open(
+        &folder.join("checkpoint"),
+        &config.run.backend.device()?,
     )?)
+}
+
+/// The scene, for its blurry frames: where the user says it is, or where it was if it still is there.
+fn frames(config: &Config, given: Option<&Path>) -> Result<Option<Scene>, Failure> {
+    if given.is_some() {
+        return config.at(given).open_scene().map(Some);
+    }
+    let scene = config.open_scene();
+    if let Err(problem) = &scene {
+        eprintln!("note: the pictures of blur go without the blurry frames: {problem}");
+    }
+    Ok(scene.ok())
 }

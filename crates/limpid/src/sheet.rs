@@ -1,7 +1,7 @@
 //! `kernels.png`: blurry frame, sharp render, intensity map, and the kernels at a few pixels.
 
 use io::Image;
-use trainer::BlurredView;
+use trainer::{KernelView, TrainingView, ViewBlur};
 
 /// Kernels are shown for so many pixels of a frame.
 const COLUMNS: usize = 8;
@@ -15,21 +15,32 @@ pub(crate) fn frames(count: usize) -> Vec<usize> {
     frames
 }
 
-/// One frame's row of the sheet; `None` where blur is not modelled.
-pub(crate) fn row(blurry: &Image, view: &BlurredView) -> Option<Image> {
-    let (intensity, kernels) = (view.intensity.as_ref()?, view.kernels.as_ref()?);
-    let (width, height) = (blurry.width, blurry.height);
+/// One frame's row of the sheet, without the blurry frame where that is not at hand; `None` where blur is not modelled.
+pub(crate) fn row(blurry: Option<&Image>, view: &TrainingView) -> Option<Image> {
+    match view.blur.as_ref()? {
+        ViewBlur::Kernels(kernels) => Some(kernel_row(blurry, &view.sharp, kernels)),
+    }
+}
+
+fn kernel_row(blurry: Option<&Image>, sharp: &Image, view: &KernelView) -> Image {
+    let (intensity, kernels) = (&view.intensity, &view.kernels);
+    let (width, height) = (sharp.width, sharp.height);
+    let pictures: Vec<&Image> = blurry.into_iter().chain([sharp]).collect();
+    let shown = pictures.len() + 1;
+    let across = shown * width + (shown - 1) * GAP;
     let size = (kernels.len() / (width * height)).isqrt();
-    let zoom = ((3 * width + 2 * GAP) / COLUMNS / (size + 1)).clamp(1, 16);
+    let zoom = (across / COLUMNS / (size + 1)).clamp(1, 16);
     let strip = size * zoom + GAP;
     let mut sheet = canvas(
-        (3 * width + 2 * GAP).max(COLUMNS * (size * zoom + GAP)),
+        across.max(COLUMNS * (size * zoom + GAP)),
         height + GAP + 3 * strip,
     );
-    paste(&mut sheet, 0, 0, blurry);
-    paste(&mut sheet, width + GAP, 0, &view.sharp);
+    for (i, picture) in pictures.iter().enumerate() {
+        paste(&mut sheet, i * (width + GAP), 0, picture);
+    }
+    let left = pictures.len() * (width + GAP);
     for (i, &m) in intensity.values.iter().enumerate() {
-        put(&mut sheet, 2 * (width + GAP) + i % width, i / width, [m; 3]);
+        put(&mut sheet, left + i % width, i / width, [m; 3]);
     }
     for gy in 0..3 {
         for gx in 0..COLUMNS {
@@ -53,7 +64,7 @@ pub(crate) fn row(blurry: &Image, view: &BlurredView) -> Option<Image> {
             }
         }
     }
-    Some(sheet)
+    sheet
 }
 
 /// Rows one under the other; `None` for none.

@@ -1,16 +1,16 @@
 //! Dynamic Gaussians: where they start (from tracks), the first fit of their motion, and the one
-//! densification that the paper calls dynamic (method facts 2.3 to 2.6 and 7.1).
+//! densification that the paper calls dynamic.
 
 use crate::TrainError;
-use crate::adam::{LearningRate, finite_gradient};
+use crate::adam::{AdamOptions, AdamState, LearningRate, adam_step, finite_gradient};
 use crate::lifting::lift_tracks;
-use crate::model::{GaussianTensors, Model, MotionModel, host};
 use crate::neighbors::{Neighbors, mean_neighbor_distances};
-use crate::optimizer::Optimizer;
 use crate::placement::{Seeds, depth_edges, lift, pixel_color};
 use crate::random::{Purpose, derived_seed, generator, sample};
 use crate::real::leaf;
 use crate::settings::Settings;
+use crate::tensors::host;
+use crate::world::{GaussianTensors, MotionModel, World};
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DMat3, DVec3};
 use io::Scene;
@@ -85,7 +85,7 @@ pub(crate) fn start_dynamics(
         [kept, 3],
     );
     let data = FitData::new(&init, &cameras, device, dtype)?;
-    let mut optimizer = Optimizer::default();
+    let mut states = [&rots, &transls, &coefficients, &means].map(AdamState::new);
     let steps = settings.motion.first_fit_steps;
     for step in 0..steps {
         let motion = MotionBases {
@@ -102,7 +102,7 @@ pub(crate) fn start_dynamics(
             ("coefficients", &mut coefficients, 1e-2),
             ("means", &mut means, 1e-3 * init.extent),
         ];
-        for (name, parameter, rate) in groups {
+        for ((name, parameter, rate), state) in groups.into_iter().zip(&mut states) {
             let rate = LearningRate::Uniform(rate * decay);
             let Some(grad) = parameter.grad_remove(&mut grads) else {
                 continue;
@@ -112,7 +112,7 @@ pub(crate) fn start_dynamics(
                 name,
                 problem,
             })?;
-            optimizer.step(name, parameter, grad, &rate);
+            adam_step(parameter, grad, state, &rate, &AdamOptions::default());
         }
     }
 
@@ -192,14 +192,13 @@ pub(crate) struct NewDynamic {
 ///
 /// A frame adds at most [`densify_share`], and at most `room` Gaussians come in all.
 pub(crate) fn densify(
-    model: &Model,
+    world: &World,
     scene: &Scene,
     settings: &Settings,
     room: usize,
     device: &Device,
 ) -> Option<NewDynamic> {
-    let model = model.detached();
-    let motion = model.motion.as_ref()?;
+    let motion = world.motion.as_ref()?;
     let share = densify_share(scene, settings).min(room / scene.frames.len());
     let (mut means, mut colors, mut parents) = (Vec::new(), Vec::new(), Vec::new());
     for (index, frame) in scene.frames.iter().enumerate() {
@@ -207,7 +206,7 @@ pub(crate) fn densify(
         let at = motion
             .bases
             .motion_at(&motion.coefficients, frame.view.time);
-        let posed: Vec<DVec3> = to_points(&host(at.transform_means(&model.dynamic_means())));
+        let posed: Vec<DVec3> = to_points(&host(at.transform_means(&world.dynamic_means())));
         let (rotations, translations) = (host(at.rotations), to_points(&host(at.translations)));
         let tree = Neighbors::new(&posed)?;
         let mut rng = generator(settings.seed, Purpose::DynamicDensification, index as u64);
@@ -230,7 +229,7 @@ pub(crate) fn densify(
     if means.is_empty() {
         return None;
     }
-    let mut all = to_points(&host(model.dynamic_means()));
+    let mut all = to_points(&host(world.dynamic_means()));
     let existing = all.len();
     all.extend(&means);
     let scales = clamped_scales(&all).split_off(existing);
@@ -243,9 +242,9 @@ pub(crate) fn densify(
         gaussians: GaussianTensors::new(
             &seeds,
             settings.gaussians.initial_opacity,
-            model.sh_degree(),
+            world.sh_degree(),
             device,
-            model.means.dtype(),
+            world.means.dtype(),
         ),
         parents,
     })

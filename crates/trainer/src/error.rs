@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// An error of the trainer, with what to do about it.
+/// An error of the trainer, with what to do about it. Causes are its `source`, and not in its text.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrainError {
@@ -15,27 +15,28 @@ pub enum TrainError {
         problem: String,
     },
     /// The scene cannot be trained on.
-    #[error("scene: {0}")]
-    Scene(String),
+    #[error("the scene cannot be trained on")]
+    Scene(#[from] SceneProblem),
     /// A checkpoint cannot be used.
-    #[error("checkpoint {path}: {problem}", path = path.display())]
+    #[error("checkpoint {}", path.display())]
     Checkpoint {
         /// The file.
         path: PathBuf,
         /// What is wrong and what to do.
-        problem: String,
+        #[source]
+        problem: CheckpointProblem,
     },
     /// A file cannot be read or written.
     #[error(transparent)]
     Io(#[from] io::IoError),
     /// The splatting op refused its input.
-    #[error("rendering: {0}")]
+    #[error("the renderer refuses its input")]
     Splat(#[from] splat_core::SplatError),
     /// The motion model refused its input.
-    #[error("motion: {0}")]
+    #[error("the motion model refuses its input")]
     Motion(#[from] motion_bases::MotionError),
-    /// The blur model refused its configuration.
-    #[error("blur model: {0}")]
+    /// The blur model refused its configuration or its input.
+    #[error("the blur model refuses its input")]
     Blur(#[from] bpnet::BpNetError),
     /// A loss term or a gradient is not finite.
     #[error(
@@ -85,4 +86,152 @@ impl TrainError {
             problem: problem.into(),
         }
     }
+}
+
+/// Why a scene cannot be trained on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneProblem {
+    /// It has no frame.
+    #[error("there is no training frame")]
+    NoFrames,
+    /// Nothing says where Gaussians start.
+    #[error(
+        "there is neither depth nor a sparse point in front of a camera, so nothing says where to place Gaussians; \
+         add depth maps or sparse points (a COLMAP model with points; for transforms.json, `ply_file_path`)"
+    )]
+    NoDepth,
+    /// No pixel is fit for a Gaussian.
+    #[error("no Gaussian can be placed: all pixels are masked, on depth edges, or without depth")]
+    NothingToPlace,
+    /// A run cannot start from the given Gaussians.
+    #[error(
+        "training starts from at least one Gaussian of SH degree {degree}, before its first iteration; \
+         given are {gaussians} of degree {found} at iteration {iteration}"
+    )]
+    StartFrom {
+        /// Degree of the settings.
+        degree: usize,
+        /// Degree of the Gaussians.
+        found: usize,
+        /// Their number.
+        gaussians: usize,
+        /// Iterations done.
+        iteration: usize,
+    },
+    /// An unseen view cannot be warped.
+    #[error("unseen view {name}")]
+    UnseenView {
+        /// Its name.
+        name: String,
+        /// Why.
+        source: unseen_views::WarpError,
+    },
+    /// A run was trained on other frames.
+    #[error(
+        "the run was trained on {trained} frames and the scene has {found}; \
+         give the scene (and --downscale, --images) of the run"
+    )]
+    OtherFrames {
+        /// Frames of the run.
+        trained: usize,
+        /// Frames of the scene.
+        found: usize,
+    },
+    /// A run was trained with other cameras or pictures of another size.
+    #[error(
+        "view {view} has another camera, pose or size than in training; \
+         give the scene (and --downscale, --images) of the run"
+    )]
+    OtherView {
+        /// Name of the first view that differs.
+        view: String,
+    },
+    /// A run was trained on a scene of another size.
+    #[error(
+        "the scene's size is {found} and was {trained} in training; give the scene (and --downscale, --images) of the run"
+    )]
+    OtherSize {
+        /// Size of the scene.
+        found: f64,
+        /// Size in training.
+        trained: f64,
+    },
+}
+
+/// Why a checkpoint cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CheckpointProblem {
+    /// The file cannot be read.
+    #[error("it cannot be read")]
+    Unreadable(#[from] std::io::Error),
+    /// It is no safetensors file, or was cut.
+    #[error("it is not a whole safetensors file")]
+    NotWhole(#[from] safetensors::SafeTensorError),
+    /// Another program wrote it.
+    #[error("it is no checkpoint of limpid")]
+    Foreign,
+    /// Another version wrote it.
+    #[error("its format is {found:?}; this version reads {expected}")]
+    Format {
+        /// Format of the file.
+        found: Option<u64>,
+        /// Format of this version.
+        expected: u32,
+    },
+    /// Its header is broken.
+    #[error("its header does not parse")]
+    Header(#[from] serde_json::Error),
+    /// A setting in it is out of its range.
+    #[error("its settings are out of range")]
+    Settings(#[source] Box<TrainError>),
+    /// The blur model of its settings cannot be made.
+    #[error("its blur model cannot be made")]
+    Blur(#[source] Box<TrainError>),
+    /// A tensor is missing.
+    #[error("tensor {0} is missing; it is not whole")]
+    Missing(String),
+    /// A tensor has another type.
+    #[error("tensor {tensor} is {found} and should be F32")]
+    Type {
+        /// Its name.
+        tensor: String,
+        /// Its type.
+        found: String,
+    },
+    /// A tensor has not two axes.
+    #[error("tensor {tensor} is {found:?} and should have two axes")]
+    Axes {
+        /// Its name.
+        tensor: String,
+        /// Its shape.
+        found: Vec<usize>,
+    },
+    /// A tensor has another shape.
+    #[error("tensor {tensor} is {found:?} and should be {expected:?}")]
+    Shape {
+        /// Its name.
+        tensor: String,
+        /// Its shape.
+        found: Vec<usize>,
+        /// The shape that fits the rest.
+        expected: Vec<usize>,
+    },
+    /// A tensor holds a number that is none.
+    #[error("tensor {tensor} has {value} in row {row}")]
+    NotFinite {
+        /// Its name.
+        tensor: String,
+        /// The first such value.
+        value: f32,
+        /// Its row.
+        row: usize,
+    },
+    /// It does not go with the scene.
+    #[error("it does not go with the scene")]
+    Scene(#[source] SceneProblem),
+    /// Its parts contradict each other.
+    #[error("{0}")]
+    Contradiction(&'static str),
 }

@@ -2,8 +2,9 @@
 
 use crate::adam::{AdamOptions, AdamState, LearningRate, adam_step};
 use crate::density::RowEdit;
-use crate::schedule::{REFERENCE_ITERATIONS, Schedule};
-use crate::settings::LearningRates;
+use crate::parameter::{Group, Parameter, Rows};
+use crate::plan::Plan;
+use crate::schedule::REFERENCE_ITERATIONS;
 use burn::tensor::Tensor;
 use std::collections::BTreeMap;
 
@@ -17,63 +18,68 @@ impl Optimizer {
     /// Steps one parameter with its gradient, which is finite.
     pub(crate) fn step(
         &mut self,
-        name: &str,
-        parameter: &mut Tensor<2>,
+        parameter: &Parameter,
+        tensor: &mut Tensor<2>,
         grad: Tensor<2>,
         rate: &LearningRate,
     ) {
         let state = self
             .states
-            .entry(name.to_owned())
-            .or_insert_with(|| AdamState::new(parameter));
-        adam_step(parameter, grad, state, rate, &AdamOptions::default());
+            .entry(parameter.name.clone())
+            .or_insert_with(|| AdamState::new(tensor));
+        adam_step(tensor, grad, state, rate, &AdamOptions::default());
+    }
+
+    /// Forgets a parameter's moments; its step count stays.
+    pub(crate) fn zero_moments(&mut self, parameter: &Parameter) {
+        if let Some(state) = self.states.get_mut(&parameter.name) {
+            state.zero_moments();
+        }
     }
 
     /// Follows an edit of a parameter's rows.
-    pub(crate) fn edit(&mut self, name: &str, edit: &RowEdit) {
-        if let Some(state) = self.states.get_mut(name) {
+    pub(crate) fn edit(&mut self, parameter: &Parameter, edit: &RowEdit) {
+        if let Some(state) = self.states.get_mut(&parameter.name) {
             state.gather(edit);
         }
     }
 }
 
-/// Learning rates at an iteration.
-pub(crate) struct Rates<'a> {
-    pub(crate) rates: &'a LearningRates,
-    pub(crate) schedule: &'a Schedule,
-    pub(crate) scene_size: f64,
-    pub(crate) sh_columns: usize,
+/// What an edit of the Gaussians' rows means for a parameter; `None` for one that has no row per Gaussian.
+pub(crate) fn edit_of(parameter: &Parameter, edit: &RowEdit) -> Option<RowEdit> {
+    match parameter.rows() {
+        Rows::Gaussians => Some(edit.clone()),
+        Rows::DynamicGaussians => Some(edit.dynamic()),
+        Rows::Frames | Rows::Whole => None,
+    }
 }
 
-impl Rates<'_> {
-    /// The rate of a parameter (names as in [`crate::Model::parameters`]) at iteration `it`.
-    pub(crate) fn of(&self, name: &str, it: usize) -> LearningRate {
-        let r = self.rates;
-        let decay = |share: f64, length: usize| self.schedule.decay(it, share, length);
-        let motion = decay(r.motion_final_share, REFERENCE_ITERATIONS);
-        LearningRate::Uniform(match name {
-            "gaussians.means" => {
-                let share = r.means_final / r.means;
-                r.means * self.scene_size * decay(share, r.means_decay)
-            }
-            "gaussians.quats" => r.rotations,
-            "gaussians.log_scales" => r.scales,
-            "gaussians.opacity_logits" => r.opacity,
-            "gaussians.sh" => {
-                return LearningRate::first_and_rest(r.sh_dc, 3, r.sh_rest, self.sh_columns);
-            }
-            "motion.rots" => r.bases * motion,
-            "motion.transls" => r.bases * motion * self.scene_size,
-            "motion.coefficients" => r.coefficients * motion,
-            _ => {
-                let (share, length) = if self.schedule.iterations < REFERENCE_ITERATIONS {
-                    (r.blur_short_run_share, REFERENCE_ITERATIONS)
-                } else {
-                    (r.blur_final_share, r.blur_decay)
-                };
-                let boost = self.schedule.short_run_boost(r.short_run_boost);
-                r.blur * boost * decay(share, length)
-            }
-        })
-    }
+/// The learning rate of a parameter at iteration `it`; `columns` are the parameter's.
+pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize) -> LearningRate {
+    let (r, schedule) = (&plan.settings.learning_rates, &plan.schedule);
+    let size = plan.survey.scene_size;
+    let decay = |share: f64, length: usize| schedule.decay(it, share, length);
+    let motion = decay(r.motion_final_share, REFERENCE_ITERATIONS);
+    LearningRate::Uniform(match group {
+        Group::Means => {
+            let share = r.means_final / r.means;
+            r.means * size * decay(share, r.means_decay)
+        }
+        Group::Quats => r.rotations,
+        Group::LogScales => r.scales,
+        Group::OpacityLogits => r.opacity,
+        Group::Sh => return LearningRate::first_and_rest(r.sh_dc, 3, r.sh_rest, columns),
+        Group::BasisRotations => r.bases * motion,
+        Group::BasisTranslations => r.bases * motion * size,
+        Group::MotionCoefficients => r.coefficients * motion,
+        Group::BlurNet => {
+            let (share, length) = if schedule.iterations < REFERENCE_ITERATIONS {
+                (r.blur_short_run_share, REFERENCE_ITERATIONS)
+            } else {
+                (r.blur_final_share, r.blur_decay)
+            };
+            let boost = schedule.short_run_boost(r.short_run_boost);
+            r.blur * boost * decay(share, length)
+        }
+    })
 }

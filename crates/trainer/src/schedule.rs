@@ -16,14 +16,8 @@ pub struct Schedule {
     pub unseen_from: Option<usize>,
     /// … at every iteration that this divides.
     pub unseen_every: usize,
-    /// Blur is modelled after this iteration.
-    pub blur_from: Option<usize>,
-    /// The blur model is stepped after this iteration.
-    pub blur_step_from: Option<usize>,
-    /// L_spa and the intensity penalty count after this iteration.
-    pub kernel_center_from: Option<usize>,
-    /// The downsample loss counts after this iteration.
-    pub downsample_from: Option<usize>,
+    /// The iterations after which the blur model starts or changes, its start first; none where blur is not modelled.
+    pub blur_moments: Vec<usize>,
     control_from: usize,
     control_until: usize,
     control_every: usize,
@@ -34,14 +28,19 @@ pub struct Schedule {
 }
 
 /// What a run of a scene models, as far as the schedule cares.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Modelled {
     /// There are dynamic Gaussians.
     pub motion: bool,
-    /// Blur is modelled.
-    pub blur: bool,
     /// There are unseen views.
     pub unseen: bool,
+    /// See [`Schedule::blur_moments`].
+    pub blur_moments: Vec<usize>,
+}
+
+/// A moment of a run of 40,000 iterations in one of n.
+pub(crate) fn scaled_moment(moment: usize, n: usize) -> usize {
+    (moment as f64 * (n as f64 / REFERENCE_ITERATIONS as f64)) as usize
 }
 
 impl Schedule {
@@ -50,23 +49,14 @@ impl Schedule {
     pub fn new(settings: &Settings, num_frames: usize, modelled: Modelled) -> Self {
         let n = settings.iterations;
         let s = n as f64 / REFERENCE_ITERATIONS as f64;
-        let at = |moment: usize| (moment as f64 * s) as usize;
-        let blur_from = modelled
-            .blur
-            .then(|| at(settings.blur.from).max(250.min(n / 4)));
+        let at = |moment| scaled_moment(moment, n);
         Self {
             iterations: n,
             densify_dynamic_at: (modelled.motion && settings.motion.densify)
                 .then(|| at(settings.motion.densify_at).max(1)),
             unseen_from: modelled.unseen.then(|| at(settings.unseen.from)),
             unseen_every: settings.unseen.every,
-            blur_from,
-            blur_step_from: blur_from.map(|b| b.saturating_add(settings.blur.hold.min(n / 8))),
-            kernel_center_from: blur_from.map(|b| {
-                at(settings.loss.kernel_center_from).max(b.saturating_add(500.min(n / 4)))
-            }),
-            downsample_from: blur_from
-                .map(|b| b.saturating_add(at(settings.loss.downsample_after))),
+            blur_moments: modelled.blur_moments,
             control_from: at(settings.gaussians.control_from),
             control_until: at(settings.gaussians.control_until),
             control_every: at(settings.gaussians.control_every).max(num_frames).max(25),
@@ -85,30 +75,6 @@ impl Schedule {
     #[must_use]
     pub fn is_unseen(&self, it: usize) -> bool {
         self.unseen_from.is_some_and(|from| it > from) && it.is_multiple_of(self.unseen_every)
-    }
-
-    /// Whether blur is modelled at iteration `it`.
-    #[must_use]
-    pub fn is_blurred(&self, it: usize) -> bool {
-        self.blur_from.is_some_and(|from| it > from)
-    }
-
-    /// Whether the blur model is stepped at iteration `it`: it is applied and the hold is over.
-    #[must_use]
-    pub fn steps_blur(&self, it: usize) -> bool {
-        self.blur_step_from.is_some_and(|from| it > from)
-    }
-
-    /// Whether L_spa and the intensity penalty count at iteration `it`.
-    #[must_use]
-    pub fn has_kernel_center(&self, it: usize) -> bool {
-        self.kernel_center_from.is_some_and(|from| it > from)
-    }
-
-    /// Whether the downsample loss counts at iteration `it`.
-    #[must_use]
-    pub fn has_downsample(&self, it: usize) -> bool {
-        self.downsample_from.is_some_and(|from| it > from)
     }
 
     /// Whether screen-space gradients are gathered at iteration `it`.
@@ -143,22 +109,13 @@ impl Schedule {
         if self.opacity_reset_every == 0
             || !it.is_multiple_of(self.opacity_reset_every)
             || it >= self.control_until
-            || self.is_blurred(it)
+            || self.blur_moments.first().is_some_and(|&start| it > start)
         {
             return false;
         }
-        let events = [
-            self.densify_dynamic_at,
-            self.unseen_from,
-            self.blur_from,
-            self.blur_step_from,
-            self.kernel_center_from,
-            self.downsample_from,
-        ];
-        !events
-            .into_iter()
-            .flatten()
-            .any(|event| event >= it && event <= it + 1000)
+        let others = [self.densify_dynamic_at, self.unseen_from];
+        let mut events = others.iter().flatten().chain(&self.blur_moments);
+        !events.any(|&event| event >= it && event <= it + 1000)
     }
 
     /// Factor on a learning rate that falls log-linearly from 1 to `final_share` over `length` iterations of 40,000.

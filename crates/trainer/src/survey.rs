@@ -1,6 +1,6 @@
 //! Looks at a scene before training: its size, its depth against the sparse points, and what there is to model.
 
-use crate::TrainError;
+use crate::error::{SceneProblem, TrainError};
 use io::{Frame, Map, Scene, SparsePoint};
 use serde::{Deserialize, Serialize};
 
@@ -70,11 +70,7 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         sparse_depths(scene)
     };
     if depths.is_empty() {
-        return Err(TrainError::Scene(
-            "there is neither depth nor a sparse point in front of a camera, so nothing says where to place Gaussians; \
-             add depth maps or sparse points (a COLMAP model with points; for transforms.json, `ply_file_path`)"
-                .to_owned(),
-        ));
+        return Err(SceneProblem::NoDepth.into());
     }
     let scene_size = f64::from(median(&mut depths));
     let masked = scene

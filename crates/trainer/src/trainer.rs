@@ -1,50 +1,45 @@
-//! The trainer: a scene, a model, and the state between iterations.
+//! The trainer: a run, and the data that it learns from.
 
 use crate::TrainError;
-use crate::density::DensityStats;
+use crate::blur::BlurModel;
+use crate::checkpoint::FILE_NAME;
 use crate::dynamics::start_dynamics;
-use crate::gauge::Gauge;
-use crate::model::{GaussianTensors, Model, tensor};
-use crate::optimizer::Optimizer;
+use crate::error::{CheckpointProblem, SceneProblem};
+use crate::model::Model;
+use crate::objective::objective;
 use crate::placement::{Seeds, place_points, place_static};
-use crate::random::{Purpose, derived_seed, generator, permutation};
-use crate::schedule::{Modelled, Schedule};
+use crate::plan::{Plan, schedule_of};
+use crate::random::{Purpose, generator, permutation};
+use crate::run::Run;
+use crate::schedule::Schedule;
+use crate::scores::Evaluation;
 use crate::settings::Settings;
+use crate::state::State;
 use crate::survey::{Survey, survey};
-use crate::views::{UnseenView, ViewRef, unseen_views};
-use bpnet::{BpNet, BpNetConfig, HeadInit};
-use burn::tensor::{DType, Device};
+use crate::tensors::tensor;
+use crate::unseen::unseen_views;
+use crate::views::{UnseenView, ViewRef, Views};
+use crate::world::{GaussianTensors, World};
+use burn::tensor::{DType, Device, Tensor};
 use io::Scene;
 use splat_core::Gaussians;
+use std::path::Path;
 
 /// Trains one scene.
 ///
 /// A library: it draws no progress bar, writes no file but checkpoints, and reads no clock.
 #[derive(Debug)]
 pub struct Trainer {
-    pub(crate) settings: Settings,
-    pub(crate) scene: Scene,
-    pub(crate) survey: Survey,
-    pub(crate) schedule: Schedule,
-    pub(crate) device: Device,
-    pub(crate) model: Model,
-    pub(crate) optimizer: Optimizer,
-    pub(crate) density: DensityStats,
-    pub(crate) gauge: Gauge,
-    pub(crate) unseen: Vec<UnseenView>,
-    pub(crate) progress: Progress,
+    pub(crate) run: Run,
+    pub(crate) data: Data,
 }
 
-/// Where a run is; with the seed it determines every draw to come.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Progress {
-    /// Iterations done.
-    pub(crate) iteration: usize,
-    /// Training views shown.
-    pub(crate) training_draws: usize,
-    /// Unseen views shown.
-    pub(crate) unseen_draws: usize,
+/// What was read, and what was made from it alone.
+#[derive(Debug)]
+pub(crate) struct Data {
+    /// The scene, its depth aligned to the sparse points.
+    pub(crate) scene: Scene,
+    pub(crate) unseen: Vec<UnseenView>,
 }
 
 impl Trainer {
@@ -57,7 +52,7 @@ impl Trainer {
     pub fn new(mut scene: Scene, settings: Settings, device: &Device) -> Result<Self, TrainError> {
         settings.validate()?;
         if scene.frames.is_empty() {
-            return Err(TrainError::Scene("there is no training frame".to_owned()));
+            return Err(SceneProblem::NoFrames.into());
         }
         let mut survey = survey(&mut scene)?;
         let device = device.clone().autodiff();
@@ -92,9 +87,7 @@ impl Trainer {
         ));
         let seeds = moving.followed_by(still);
         if seeds.means.is_empty() {
-            return Err(TrainError::Scene(
-                "no Gaussian can be placed: all pixels are masked, on depth edges, or without depth".to_owned(),
-            ));
+            return Err(SceneProblem::NothingToPlace.into());
         }
         let start = GaussianTensors::new(
             &seeds,
@@ -103,194 +96,225 @@ impl Trainer {
             &device,
             dtype,
         );
-        let blur = settings
-            .blur
-            .enabled
-            .then(|| new_blur(&settings, scene.frames.len(), &device, dtype))
-            .transpose()?;
-        let near = settings.gaussians.near * survey.scene_size;
-        let unseen = make_unseen(&scene, &settings, &survey, near)?;
+        let size = survey.scene_size;
+        let model = Model {
+            world: World {
+                means: start.means.require_grad(),
+                quats: start.quats.require_grad(),
+                log_scales: start.log_scales.require_grad(),
+                opacity_logits: start.opacity_logits.require_grad(),
+                sh: start.sh.require_grad(),
+                num_dynamic,
+                motion,
+            },
+            blur: BlurModel::new(&settings, size, scene.frames.len(), &device, dtype)?,
+        };
+        let views = Views::of(&scene, settings.gaussians.near * size);
+        let unseen = unseen_views(&scene, &views, &settings, size)?;
         if settings.unseen.enabled && survey.depth {
             survey.notes.push(format!("{} unseen views", unseen.len()));
         }
-        let modelled = Modelled {
-            motion: motion.is_some(),
-            blur: blur.is_some(),
-            unseen: !unseen.is_empty(),
-        };
-        let schedule = Schedule::new(&settings, scene.frames.len(), modelled);
-        let model = Model {
-            means: start.means.require_grad(),
-            quats: start.quats.require_grad(),
-            log_scales: start.log_scales.require_grad(),
-            opacity_logits: start.opacity_logits.require_grad(),
-            sh: start.sh.require_grad(),
-            num_dynamic,
-            motion,
-            blur,
-        };
-        Ok(Self {
-            density: DensityStats::new(model.num_gaussians()),
-            gauge: Gauge::new(settings.blur.gauge_cells, scene.frames.len()),
-            optimizer: Optimizer::default(),
-            progress: Progress::default(),
+        let plan = Plan {
+            schedule: schedule_of(&settings, &views, &model, !unseen.is_empty()),
             settings,
-            scene,
             survey,
-            schedule,
-            device,
-            model,
-            unseen,
+            views,
+        };
+        let state = State::new(model);
+        Ok(Self {
+            run: Run {
+                plan,
+                state,
+                device,
+            },
+            data: Data { scene, unseen },
+        })
+    }
+
+    /// Goes on with a run on the scene that it was trained on.
+    ///
+    /// # Errors
+    /// The scene is another, or was read in another way.
+    pub fn resume(run: Run, mut scene: Scene) -> Result<Self, TrainError> {
+        run.check_scene(&scene)?;
+        // The survey is made again for what it does to the scene's depth, and must agree.
+        let found = survey(&mut scene)?.scene_size;
+        let trained = run.plan.survey.scene_size;
+        if found != trained {
+            return Err(SceneProblem::OtherSize { found, trained }.into());
+        }
+        let plan = &run.plan;
+        let unseen = unseen_views(&scene, &plan.views, &plan.settings, trained)?;
+        Ok(Self {
+            run,
+            data: Data { scene, unseen },
+        })
+    }
+
+    /// Reads a checkpoint back and goes on from it: [`Run::open`] and [`Self::resume`] in a row.
+    ///
+    /// # Errors
+    /// As those.
+    pub fn load(folder: &Path, scene: Scene, device: &Device) -> Result<Self, TrainError> {
+        Self::resume(Run::open(folder, device)?, scene).map_err(|error| match error {
+            TrainError::Scene(problem) => TrainError::Checkpoint {
+                path: folder.join(FILE_NAME),
+                problem: CheckpointProblem::Scene(problem),
+            },
+            other => other,
         })
     }
 
     /// Starts from these Gaussians, all of them static, in place of those that were placed.
     ///
     /// # Errors
-    /// There is none, training has begun, or their SH degree is not that of the settings.
+    /// There is none, training has begun, their arrays do not fit each other, or their SH degree is not that of the settings.
     pub fn start_from(&mut self, gaussians: &Gaussians) -> Result<(), TrainError> {
-        let degree = self.settings.gaussians.sh_degree;
-        if gaussians.is_empty() || self.progress.iteration > 0 || gaussians.sh_degree != degree {
-            return Err(TrainError::Scene(format!(
-                "training starts from at least one Gaussian of SH degree {degree}, before its first iteration; \
-                 given are {} of degree {} at iteration {}",
-                gaussians.len(),
-                gaussians.sh_degree,
-                self.progress.iteration
-            )));
+        let degree = self.run.plan.settings.gaussians.sh_degree;
+        let iteration = self.run.iteration();
+        if gaussians.is_empty() || iteration > 0 || gaussians.sh_degree != degree {
+            return Err(SceneProblem::StartFrom {
+                degree,
+                found: gaussians.sh_degree,
+                gaussians: gaussians.len(),
+                iteration,
+            }
+            .into());
         }
         let n = gaussians.len();
-        let leaf =
-            |values: Vec<f32>, columns| tensor(values, [n, columns], &self.device).require_grad();
-        self.model = Model {
-            means: leaf(gaussians.means.as_flattened().to_vec(), 3),
-            quats: leaf(gaussians.quats.as_flattened().to_vec(), 4),
-            log_scales: leaf(gaussians.log_scales.as_flattened().to_vec(), 3),
-            opacity_logits: leaf(gaussians.opacity_logits.clone(), 1),
-            sh: leaf(gaussians.sh.clone(), gaussians.sh.len() / n),
-            num_dynamic: 0,
-            motion: None,
-            blur: self.model.blur.take(),
-        };
-        self.density = DensityStats::new(n);
+        let Run {
+            plan,
+            state,
+            device,
+        } = &mut self.run;
+        let leaf = |values: Vec<f32>, columns| tensor(values, [n, columns], device).require_grad();
+        let blur = std::mem::replace(&mut state.model.blur, BlurModel::Off);
+        *state = State::new(Model {
+            world: World {
+                means: leaf(gaussians.means.as_flattened().to_vec(), 3),
+                quats: leaf(gaussians.quats.as_flattened().to_vec(), 4),
+                log_scales: leaf(gaussians.log_scales.as_flattened().to_vec(), 3),
+                opacity_logits: leaf(gaussians.opacity_logits.clone(), 1),
+                sh: leaf(gaussians.sh.clone(), gaussians.sh.len() / n),
+                num_dynamic: 0,
+                motion: None,
+            },
+            blur,
+        });
+        plan.survey.movers = false;
+        let unseen = !self.data.unseen.is_empty();
+        plan.schedule = schedule_of(&plan.settings, &plan.views, &state.model, unseen);
         Ok(())
     }
 
-    /// The settings of this run.
+    /// The run as it is now.
     #[must_use]
-    pub fn settings(&self) -> &Settings {
-        &self.settings
+    pub fn run(&self) -> &Run {
+        &self.run
     }
 
     /// The scene, its depth aligned to the sparse points.
     #[must_use]
     pub fn scene(&self) -> &Scene {
-        &self.scene
+        &self.data.scene
     }
 
-    /// What was found in the scene and decided from it.
+    /// See [`Run::settings`].
+    #[must_use]
+    pub fn settings(&self) -> &Settings {
+        self.run.settings()
+    }
+
+    /// See [`Run::survey`].
     #[must_use]
     pub fn survey(&self) -> &Survey {
-        &self.survey
+        self.run.survey()
     }
 
-    /// When things happen.
+    /// See [`Run::schedule`].
     #[must_use]
     pub fn schedule(&self) -> &Schedule {
-        &self.schedule
+        self.run.schedule()
     }
 
-    /// Gaussians, motion and blur model as they are now.
+    /// See [`Run::model`].
     #[must_use]
     pub fn model(&self) -> &Model {
-        &self.model
+        self.run.model()
     }
 
-    /// Iterations done.
+    /// See [`Run::iteration`].
     #[must_use]
     pub fn iteration(&self) -> usize {
-        self.progress.iteration
+        self.run.iteration()
     }
 
-    /// Whether all iterations are done.
+    /// See [`Run::is_done`].
     #[must_use]
     pub fn is_done(&self) -> bool {
-        self.progress.iteration >= self.settings.iterations
+        self.run.is_done()
     }
 
-    /// Near plane, scene units.
-    pub(crate) fn near(&self) -> f64 {
-        self.settings.gaussians.near * self.survey.scene_size
+    /// See [`Run::save`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn save(&self, folder: &Path) -> Result<(), TrainError> {
+        self.run.save(folder)
     }
 
-    /// The training frame that comes next: every epoch shows each once, in an order of its own.
-    pub(crate) fn next_training_view(&self) -> ViewRef<'_> {
-        let n = self.scene.frames.len();
-        let frame = draw(
-            self.settings.seed,
-            Purpose::TrainOrder,
-            self.progress.training_draws,
-            n,
-        );
-        ViewRef::training(&self.scene, frame)
+    /// Scores of all test views (and, where the truth is there, of the sharp training views), now; see [`Run::evaluate`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn evaluate(&self) -> Result<Evaluation, TrainError> {
+        self.run.evaluate(&self.data.scene, None)
     }
 
-    /// The unseen view that comes next.
-    pub(crate) fn next_unseen_view(&self) -> ViewRef<'_> {
-        let n = self.unseen.len();
-        let index = draw(
-            self.settings.seed,
-            Purpose::UnseenOrder,
-            self.progress.unseen_draws,
-            n,
-        );
-        ViewRef::unseen(&self.scene, &self.unseen[index])
+    /// The weighted terms of the loss of training frame `frame` at iteration `it` (1-based), each of shape `[1]`.
+    ///
+    /// `model` is the trainer's own or one like it, in f64 for example. What the gradient stops at comes from `fixed`: BP-Net's
+    /// inputs, alpha under the depth, the intensity that kernels are pulled to. Training takes both to be its own; a check
+    /// by finite differences moves `model` alone.
+    ///
+    /// # Errors
+    /// The renderer or the blur model refuses the model.
+    ///
+    /// # Panics
+    /// Panics if there is no such frame.
+    pub fn loss_terms(
+        &self,
+        model: &Model,
+        fixed: &Model,
+        it: usize,
+        frame: usize,
+    ) -> Result<Vec<(&'static str, Tensor<1>)>, TrainError> {
+        let plan = &self.run.plan;
+        let view = ViewRef::training(&plan.views, &self.data.scene, frame);
+        let fixed = self.run.show_view(fixed, it, &view, None, None)?;
+        let shown = self.run.show_view(model, it, &view, Some(&fixed), None)?;
+        let target = shown.target(&view);
+        Ok(objective(plan, &model.world, &view, &shown, &fixed, target).0)
+    }
+
+    /// The view that iteration `it` learns from: every epoch shows each training frame once, in an order of its own, and so for
+    /// the unseen views.
+    pub(crate) fn next_view(&self, it: usize) -> ViewRef<'_> {
+        let (plan, progress) = (&self.run.plan, &self.run.state.progress);
+        let seed = plan.settings.seed;
+        if plan.schedule.is_unseen(it) {
+            let (count, n) = (progress.unseen_draws, self.data.unseen.len());
+            let index = draw(seed, Purpose::UnseenOrder, count, n);
+            ViewRef::unseen(&self.data.unseen[index])
+        } else {
+            let (count, n) = (progress.training_draws, plan.views.train.len());
+            let frame = draw(seed, Purpose::TrainOrder, count, n);
+            ViewRef::training(&plan.views, &self.data.scene, frame)
+        }
     }
 }
 
 /// The `count`-th draw without replacement from n, refilled when empty.
 fn draw(seed: u64, purpose: Purpose, count: usize, n: usize) -> usize {
     permutation(&mut generator(seed, purpose, (count / n) as u64), n)[count % n]
-}
-
-/// A fresh blur model.
-pub(crate) fn new_blur(
-    settings: &Settings,
-    num_frames: usize,
-    device: &Device,
-    dtype: DType,
-) -> Result<BpNet, TrainError> {
-    let config = BpNetConfig {
-        kernel_size: settings.blur.kernel_size,
-        num_frames,
-        shortcut: settings.blur.shortcut,
-        downscale: settings.blur.downscale,
-        head: if settings.blur.mild_start {
-            HeadInit::Mild
-        } else {
-            HeadInit::Framework
-        },
-        seed: derived_seed(settings.seed, Purpose::BlurModel),
-    };
-    Ok(BpNet::new(&config, device, dtype)?)
-}
-
-/// The unseen views of a run; they depend on scene, settings and seed alone.
-pub(crate) fn make_unseen(
-    scene: &Scene,
-    settings: &Settings,
-    survey: &Survey,
-    near: f64,
-) -> Result<Vec<UnseenView>, TrainError> {
-    if !settings.unseen.enabled || !survey.depth {
-        return Ok(Vec::new());
-    }
-    unseen_views(
-        scene,
-        &settings.unseen,
-        survey.scene_size,
-        near,
-        settings.gaussians.depth_edge,
-        settings.seed,
-    )
 }

@@ -1,36 +1,81 @@
-//! What an iteration can show: training views, and unseen views warped from them.
+//! Where views are seen from, and what an iteration learns from.
 
-use crate::TrainError;
-use crate::random::{Purpose, generator, unit};
-use crate::settings::UnseenSettings;
 use burn::tensor::{Bool, Device, Tensor, TensorData};
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use io::Scene;
-use rayon::prelude::*;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use splat_core::{Camera, camera_center, pose_rows};
-use unseen_views::{Source, WarpOptions, parallel_pose, perpendicular_pose, warp};
+
+/// From where and when a view is seen: everything of it but its picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Viewpoint {
+    /// The view's name.
+    pub name: String,
+    /// Intrinsics, with the near plane of the run.
+    pub camera: Camera,
+    /// Pose of the camera, OpenCV axes.
+    #[serde(serialize_with = "write_pose", deserialize_with = "read_pose")]
+    pub cam_from_world: DAffine3,
+    /// Time in units of training frames.
+    pub time: f32,
+}
+
+fn write_pose<S: Serializer>(pose: &DAffine3, serializer: S) -> Result<S::Ok, S::Error> {
+    pose_rows(pose).serialize(serializer)
+}
+
+fn read_pose<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DAffine3, D::Error> {
+    let r = <[f64; 12]>::deserialize(deserializer)?;
+    Ok(DAffine3 {
+        matrix3: DMat3::from_cols_array(&[r[0], r[4], r[8], r[1], r[5], r[9], r[2], r[6], r[10]]),
+        translation: DVec3::new(r[3], r[7], r[11]),
+    })
+}
+
+/// The views of a scene, as far as rendering needs them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Views {
+    /// Training frames in time order.
+    pub train: Vec<Viewpoint>,
+    /// Test views.
+    pub test: Vec<Viewpoint>,
+}
+
+impl Views {
+    /// The views of a scene, with a near plane in scene units.
+    pub(crate) fn of(scene: &Scene, near: f64) -> Self {
+        let viewpoint = |view: &io::View| Viewpoint {
+            name: view.name.clone(),
+            camera: view.camera.clone().with_near(near),
+            cam_from_world: view.cam_from_world,
+            time: view.time,
+        };
+        Self {
+            train: scene.frames.iter().map(|f| viewpoint(&f.view)).collect(),
+            test: scene.test.iter().map(viewpoint).collect(),
+        }
+    }
+}
 
 /// A view that was never filmed: a training frame, warped.
 #[derive(Debug)]
 pub(crate) struct UnseenView {
-    name: String,
-    frame: usize,
-    cam_from_world: DAffine3,
-    image: Vec<f32>,
-    mask: Option<Vec<f32>>,
-    valid: Vec<bool>,
+    pub(crate) viewpoint: Viewpoint,
+    /// The frame that was warped.
+    pub(crate) frame: usize,
+    pub(crate) image: Vec<f32>,
+    pub(crate) mask: Option<Vec<f32>>,
+    pub(crate) valid: Vec<bool>,
 }
 
 /// A view with its targets, ready for the device.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ViewRef<'a> {
-    pub(crate) name: &'a str,
-    /// Index of the training frame whose time, embedding and camera it has.
+    pub(crate) viewpoint: &'a Viewpoint,
+    /// Index of the training frame whose time, blur and camera it has.
     pub(crate) frame: usize,
-    pub(crate) time: f32,
-    pub(crate) cam_from_world: DAffine3,
-    pub(crate) width: usize,
-    pub(crate) height: usize,
     image: &'a [f32],
     /// z-depth, 0 where missing, [H, W].
     pub(crate) depth: Option<&'a [f32]>,
@@ -41,15 +86,11 @@ pub(crate) struct ViewRef<'a> {
 }
 
 impl<'a> ViewRef<'a> {
-    pub(crate) fn training(scene: &'a Scene, frame: usize) -> Self {
+    pub(crate) fn training(views: &'a Views, scene: &'a Scene, frame: usize) -> Self {
         let source = &scene.frames[frame];
         Self {
-            name: &source.view.name,
+            viewpoint: &views.train[frame],
             frame,
-            time: source.view.time,
-            cam_from_world: source.view.cam_from_world,
-            width: source.view.camera.width,
-            height: source.view.camera.height,
             image: &source.view.image.pixels,
             depth: source.depth.as_ref().map(|m| m.values.as_slice()),
             mask: source.mask.as_ref().map(|m| m.values.as_slice()),
@@ -57,15 +98,14 @@ impl<'a> ViewRef<'a> {
         }
     }
 
-    pub(crate) fn unseen(scene: &'a Scene, view: &'a UnseenView) -> Self {
+    pub(crate) fn unseen(view: &'a UnseenView) -> Self {
         Self {
-            name: &view.name,
-            cam_from_world: view.cam_from_world,
+            viewpoint: &view.viewpoint,
+            frame: view.frame,
             image: &view.image,
             depth: None,
             mask: view.mask.as_deref(),
             valid: Some(&view.valid),
-            ..Self::training(scene, view.frame)
         }
     }
 
@@ -75,17 +115,13 @@ impl<'a> ViewRef<'a> {
     }
 
     pub(crate) fn center(&self) -> DVec3 {
-        camera_center(&self.cam_from_world)
+        camera_center(&self.viewpoint.cam_from_world)
     }
 
-    /// `cam_from_world` as a tensor [3, 4] of the device and dtype of another.
-    pub(crate) fn pose<const D: usize>(&self, like: &Tensor<D>) -> Tensor<2> {
-        pose_tensor(&self.cam_from_world, like)
-    }
-
-    /// The frame as a tensor [H, W, 3] of the device and dtype of another.
+    /// The picture as a tensor [H, W, 3] of the device and dtype of another.
     pub(crate) fn image<const D: usize>(&self, like: &Tensor<D>) -> Tensor<3> {
-        let data = TensorData::new(self.image.to_vec(), [self.height, self.width, 3]);
+        let Camera { width, height, .. } = self.viewpoint.camera;
+        let data = TensorData::new(self.image.to_vec(), [height, width, 3]);
         Tensor::from_data(data, (&like.device(), like.dtype()))
     }
 
@@ -95,89 +131,11 @@ impl<'a> ViewRef<'a> {
         if valid.iter().all(|&v| v) {
             return None;
         }
+        let Camera { width, height, .. } = self.viewpoint.camera;
         let holes: Vec<bool> = valid.iter().map(|v| !v).collect();
         Some(Tensor::from_data(
-            TensorData::new(holes, [self.height, self.width, 1]),
+            TensorData::new(holes, [height, width, 1]),
             device,
         ))
     }
-}
-
-/// A pose as a tensor [3, 4] of the device and dtype of another.
-pub(crate) fn pose_tensor<const D: usize>(
-    cam_from_world: &DAffine3,
-    like: &Tensor<D>,
-) -> Tensor<2> {
-    Tensor::from_data(
-        TensorData::new(pose_rows(cam_from_world).to_vec(), [3, 4]),
-        (&like.device(), like.dtype()),
-    )
-}
-
-/// The camera of a training frame, with the near plane of the run.
-pub(crate) fn camera_of(scene: &Scene, frame: usize, near: f64) -> Camera {
-    scene.frames[frame].view.camera.clone().with_near(near)
-}
-
-/// All unseen views of a scene: between neighbouring frames, warped from both, and to both sides of
-/// the path at a random distance in [0.5, 1] of `offset` times S. Views with too few valid pixels are dropped.
-pub(crate) fn unseen_views(
-    scene: &Scene,
-    settings: &UnseenSettings,
-    scene_size: f64,
-    near: f64,
-    depth_edge: f64,
-    seed: u64,
-) -> Result<Vec<UnseenView>, TrainError> {
-    let options = WarpOptions {
-        sharpness: settings.sharpness,
-        edge_jump: depth_edge,
-    };
-    let mut wanted = Vec::new();
-    for i in 0..scene.frames.len().saturating_sub(1) {
-        let a = &scene.frames[i].view.cam_from_world;
-        let b = &scene.frames[i + 1].view.cam_from_world;
-        if let Some(middle) = parallel_pose(a, b) {
-            wanted.push((format!("parallel {i} from {i}"), i, middle));
-            wanted.push((format!("parallel {i} from {}", i + 1), i + 1, middle));
-        }
-        for (side, sign) in [(0, 1.0), (1, -1.0)] {
-            let mut rng = generator(seed, Purpose::UnseenOffset, (2 * i + side) as u64);
-            let offset = sign * settings.offset * scene_size * (0.5 + 0.5 * unit(&mut rng));
-            wanted.push((
-                format!("perpendicular {i} {side}"),
-                i,
-                perpendicular_pose(a, b, offset),
-            ));
-        }
-    }
-    let views: Vec<Option<UnseenView>> = wanted
-        .into_par_iter()
-        .map(|(name, frame, cam_from_world)| {
-            let source = &scene.frames[frame];
-            let Some(depth) = &source.depth else {
-                return Ok(None);
-            };
-            let camera = camera_of(scene, frame, near);
-            let source = Source {
-                camera: &camera,
-                cam_from_world: &source.view.cam_from_world,
-                color: &source.view.image.pixels,
-                depth: &depth.values,
-                mask: source.mask.as_ref().map(|m| m.values.as_slice()),
-            };
-            let warped = warp(&source, &camera, &cam_from_world, &options)
-                .map_err(|e| TrainError::Scene(format!("unseen view {name}: {e}")))?;
-            let enough = warped.valid_fraction() >= settings.min_valid;
-            Ok(enough.then_some(UnseenView {
-                name,
-                frame,
-                cam_from_world,
-                image: warped.color,
-                mask: warped.mask,
-                valid: warped.valid,
-            }))
-        })
-        .collect::<Result<_, TrainError>>()?;
-    Ok(views.into_iter().flatten().collect())
 }

@@ -47,7 +47,7 @@ impl Gauge {
 
     /// Keeps a frame's shifts for the frames that come after it.
     pub(crate) fn record(&mut self, frame: usize, live: Tensor<2>) {
-        self.shifts[frame] = crate::model::host(live.detach());
+        self.shifts[frame] = crate::tensors::host(live.detach());
     }
 
     /// The table as one matrix [frames, 1 + 2 · cells] for a checkpoint; the first column says whether a frame was seen.
@@ -59,13 +59,13 @@ impl Gauge {
             values.extend(shifts);
             values.resize(values.len().next_multiple_of(width), 0.0);
         }
-        crate::model::tensor(values, [self.shifts.len(), width], device)
+        crate::tensors::tensor(values, [self.shifts.len(), width], device)
     }
 
     /// The inverse of [`Self::to_tensor`].
     pub(crate) fn from_tensor(cells: [usize; 2], tensor: Tensor<2>) -> Self {
         let [frames, width] = tensor.dims();
-        let values = crate::model::host(tensor);
+        let values = crate::tensors::host(tensor);
         let mut gauge = Self::new(cells, frames);
         for (shifts, row) in gauge.shifts.iter_mut().zip(values.chunks_exact(width)) {
             if row[0] > 0.5 {

@@ -1,0 +1,192 @@
+//! The blur model: what a camera makes of the sharp scene while it takes a frame.
+//!
+//! A variant owns everything about itself: its parameters, the settings it was made from, its moments in the run and
+//! its terms of the loss. [`BlurModel::show`] is the one way in, for training, scores, gradient checks and pictures alike.
+
+mod gauge;
+pub(crate) mod kernels;
+
+pub use kernels::{KernelView, Kernels};
+
+use crate::TrainError;
+use crate::look::{self, Look, render_sharp};
+use crate::parameter::{Group, Parameter};
+use crate::settings::Settings;
+use crate::world::World;
+use burn::tensor::{DType, Device, Tensor};
+use kernels::KernelTrace;
+use serde::{Deserialize, Serialize};
+
+/// How frames were blurred.
+#[derive(Clone, Debug)]
+pub enum BlurModel {
+    /// What is rendered is what the camera saw.
+    Off,
+    /// The paper's: BP-Net predicts a kernel and an intensity for every pixel.
+    Kernels(Box<Kernels>),
+}
+
+/// What a variant keeps of a view that it showed.
+#[derive(Clone, Debug)]
+pub(crate) enum Trace {
+    /// Kernels and what they made of the sharp render.
+    Kernels(KernelTrace),
+}
+
+/// What a model shows of a view.
+pub(crate) type Shown = look::Shown<Trace>;
+
+impl BlurModel {
+    /// The model that the settings ask for, untrained.
+    pub(crate) fn new(
+        settings: &Settings,
+        scene_size: f64,
+        num_frames: usize,
+        device: &Device,
+        dtype: DType,
+    ) -> Result<Self, TrainError> {
+        if !settings.blur.enabled {
+            return Ok(Self::Off);
+        }
+        let kernels = Kernels::new(settings, scene_size, num_frames, device, dtype)?;
+        Ok(Self::Kernels(Box::new(kernels)))
+    }
+
+    /// The iterations after which something about it changes, its start first; none where blur is not modelled.
+    pub(crate) fn moments(&self) -> Vec<usize> {
+        match self {
+            Self::Off => Vec::new(),
+            Self::Kernels(kernels) => kernels.moments().to_vec(),
+        }
+    }
+
+    /// Whether frames are blurred once `iteration` iterations are done.
+    pub(crate) fn starts_by(&self, iteration: usize) -> bool {
+        self.moments().first().is_some_and(|&from| iteration > from)
+    }
+
+    /// The sharp render of a view, what the camera saw, and the model's own terms of the loss.
+    ///
+    /// `fixed` is what the gradient stops at, where that is not what is shown: see [`crate::Trainer::loss_terms`].
+    pub(crate) fn show(
+        &self,
+        world: &World,
+        look: &Look<'_>,
+        fixed: Option<&Shown>,
+    ) -> Result<Shown, TrainError> {
+        match self {
+            Self::Off => Ok(Shown::sharp(render_sharp(world, look)?)),
+            Self::Kernels(kernels) => {
+                let fixed = fixed.map(|fixed| {
+                    let trace = fixed.trace.as_ref().map(|Trace::Kernels(trace)| trace);
+                    (&fixed.rendered, trace)
+                });
+                Ok(kernels.show(world, look, fixed)?.map(Trace::Kernels))
+            }
+        }
+    }
+
+    /// Keeps what later iterations want to know of a frame that was shown and learned from.
+    pub(crate) fn learned(&mut self, frame: usize, trace: Trace) {
+        match (self, trace) {
+            (Self::Off, _) => {}
+            (Self::Kernels(kernels), Trace::Kernels(trace)) => kernels.learned(frame, trace),
+        }
+    }
+
+    /// All parameters, to be replaced.
+    pub(crate) fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
+        match self {
+            Self::Off => Vec::new(),
+            Self::Kernels(kernels) => kernels
+                .parameters_mut()
+                .into_iter()
+                .map(|(name, tensor)| {
+                    (
+                        Parameter::new(format!("blur.{name}"), Group::BlurNet),
+                        tensor,
+                    )
+                })
+                .collect(),
+        }
+    }
+
+    /// What a checkpoint holds of it beside its parameters, by name.
+    pub(crate) fn tables(&self, device: &Device) -> Vec<(&'static str, Tensor<2>)> {
+        match self {
+            Self::Off => Vec::new(),
+            Self::Kernels(kernels) => vec![kernels.table(device)],
+        }
+    }
+
+    /// Takes back what [`Self::tables`] gave; `read` finds a table of a name and a shape.
+    pub(crate) fn restore<E>(
+        &mut self,
+        mut read: impl FnMut(&str, [usize; 2]) -> Result<Tensor<2>, E>,
+    ) -> Result<(), E> {
+        match self {
+            Self::Off => Ok(()),
+            Self::Kernels(kernels) => kernels.restore(&mut read),
+        }
+    }
+}
+
+/// Figures of a blur model over all training frames, as `metrics.json` holds them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum BlurFigures {
+    /// Of [`BlurModel::Kernels`].
+    Kernels {
+        /// Length of the mean of m Σ k Δx over all pixels of all training frames, px.
+        kernel_centroid_px: f64,
+        /// Mean blur intensity m over all pixels of all training frames.
+        mean_intensity: f64,
+    },
+}
+
+/// How one view was blurred, for pictures and figures.
+#[derive(Clone, Debug)]
+pub enum ViewBlur {
+    /// By a kernel per pixel.
+    Kernels(KernelView),
+}
+
+impl From<Trace> for ViewBlur {
+    fn from(trace: Trace) -> Self {
+        match trace {
+            Trace::Kernels(trace) => Self::Kernels(trace.view()),
+        }
+    }
+}
+
+/// Sums of the figures of several views.
+#[derive(Debug, Default)]
+pub(crate) struct FigureSums {
+    count: usize,
+    shift: [f64; 2],
+    intensity: f64,
+}
+
+impl FigureSums {
+    pub(crate) fn add(&mut self, view: &ViewBlur) {
+        match view {
+            ViewBlur::Kernels(view) => {
+                self.count += 1;
+                let [x, y] = view.centroid;
+                self.shift = [self.shift[0] + x, self.shift[1] + y];
+                let values = &view.intensity.values;
+                self.intensity +=
+                    values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
+            }
+        }
+    }
+
+    /// The means; `None` where no view was blurred.
+    pub(crate) fn means(&self) -> Option<BlurFigures> {
+        let count = self.count as f64;
+        (self.count > 0).then(|| BlurFigures::Kernels {
+            kernel_centroid_px: self.shift[0].hypot(self.shift[1]) / count,
+            mean_intensity: self.intensity / count,
+        })
+    }
+}

@@ -1,0 +1,284 @@
+//! The paper's blur model: a kernel and an intensity per pixel, predicted by BP-Net from the sharp render.
+
+use super::gauge::Gauge;
+use crate::TrainError;
+use crate::look::{Look, Shown, Terms, render_sharp};
+use crate::losses;
+use crate::random::{Purpose, derived_seed};
+use crate::schedule::scaled_moment;
+use crate::settings::Settings;
+use crate::tensors::{constant, host};
+use crate::world::World;
+use bpnet::{
+    BlurField, BlurInputs, BpNet, BpNetConfig, Composite, Extractor, HeadInit, cell_means,
+    composite, kernel_center_loss,
+};
+use burn::tensor::{DType, Device, Tensor};
+use io::Map;
+use splat_core::Rendered;
+use tracing::trace_span;
+
+/// BP-Net, the gauge that holds its kernels in place, and when what of it counts.
+#[derive(Clone, Debug)]
+pub struct Kernels {
+    net: BpNet,
+    gauge: Gauge,
+    weights: Weights,
+    moments: Moments,
+    extractor: Extractor,
+    /// Scene size S, scene units.
+    scene_size: f64,
+}
+
+/// Weights of its own terms.
+#[derive(Clone, Copy, Debug)]
+struct Weights {
+    kernel_center: f64,
+    intensity: f64,
+    gauge: f64,
+    downsample: f64,
+}
+
+/// Iterations after which something begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Moments {
+    /// Blur is modelled.
+    from: usize,
+    /// BP-Net is stepped.
+    step_from: usize,
+    /// L_spa and the intensity penalty count.
+    kernel_center_from: usize,
+    /// The downsample loss counts.
+    downsample_from: usize,
+}
+
+impl Moments {
+    fn new(settings: &Settings) -> Self {
+        let n = settings.iterations;
+        let at = |moment| scaled_moment(moment, n);
+        let from = at(settings.blur.from).max(250.min(n / 4));
+        Self {
+            from,
+            step_from: from.saturating_add(settings.blur.hold.min(n / 8)),
+            kernel_center_from: at(settings.loss.kernel_center_from)
+                .max(from.saturating_add(500.min(n / 4))),
+            downsample_from: from.saturating_add(at(settings.loss.downsample_after)),
+        }
+    }
+}
+
+/// What it keeps of a view that it showed.
+#[derive(Clone, Debug)]
+pub(crate) struct KernelTrace {
+    field: BlurField,
+    composite: Composite,
+    /// The kernels' shifts by cell, for the gauge's table; `None` where the gauge does not count.
+    shifts: Option<Tensor<2>>,
+}
+
+impl Kernels {
+    pub(super) fn new(
+        settings: &Settings,
+        scene_size: f64,
+        num_frames: usize,
+        device: &Device,
+        dtype: DType,
+    ) -> Result<Self, TrainError> {
+        let (blur, loss) = (&settings.blur, &settings.loss);
+        let config = BpNetConfig {
+            kernel_size: blur.kernel_size,
+            num_frames,
+            shortcut: blur.shortcut,
+            downscale: blur.downscale,
+            head: if blur.mild_start {
+                HeadInit::Mild
+            } else {
+                HeadInit::Framework
+            },
+            seed: derived_seed(settings.seed, Purpose::BlurModel),
+        };
+        Ok(Self {
+            net: BpNet::new(&config, device, dtype)?,
+            gauge: Gauge::new(blur.gauge_cells, num_frames),
+            weights: Weights {
+                kernel_center: loss.kernel_center,
+                intensity: loss.intensity,
+                gauge: loss.gauge,
+                downsample: loss.downsample,
+            },
+            moments: Moments::new(settings),
+            extractor: if blur.train_extractor {
+                Extractor::Trained
+            } else {
+                Extractor::Frozen
+            },
+            scene_size,
+        })
+    }
+
+    pub(super) fn moments(&self) -> [usize; 4] {
+        let m = &self.moments;
+        [m.from, m.step_from, m.kernel_center_from, m.downsample_from]
+    }
+
+    /// `fixed` is what the gradient stops at, where that is not what is shown: BP-Net's inputs and the intensity
+    /// that L_spa pulls kernels to.
+    pub(super) fn show(
+        &self,
+        world: &World,
+        look: &Look<'_>,
+        fixed: Option<(&Rendered, Option<&KernelTrace>)>,
+    ) -> Result<Shown<KernelTrace>, TrainError> {
+        let rendered = render_sharp(world, look)?;
+        let on = look.iteration > self.moments.from;
+        let Some(frame) = look.frame.filter(|_| on) else {
+            return Ok(Shown::sharp(rendered));
+        };
+        let sees = fixed.map_or(&rendered, |(rendered, _)| rendered);
+        let field =
+            trace_span!("blur field").in_scope(|| self.field(frame, sees, look.iteration))?;
+        let composite = composite(rendered.color(), &field)?;
+        let fixed_intensity = fixed.and_then(|(_, trace)| trace).map_or_else(
+            || composite.intensity(),
+            |trace| trace.composite.intensity(),
+        );
+        let mut trace = KernelTrace {
+            field,
+            composite,
+            shifts: None,
+        };
+        let terms = self.terms(look, &rendered, &mut trace, fixed_intensity);
+        Ok(Shown {
+            seen: trace.composite.picture(),
+            rendered,
+            terms,
+            trace: Some(trace),
+        })
+    }
+
+    /// Kernel and intensity of every pixel. During the hold no graph is recorded.
+    fn field(&self, frame: usize, sees: &Rendered, it: usize) -> Result<BlurField, TrainError> {
+        let inputs = self.inputs(sees);
+        Ok(if it > self.moments.step_from {
+            self.net.forward(frame, &inputs, self.extractor)?
+        } else {
+            let mut net = self.net.clone();
+            for (_, parameter) in net.parameters_mut() {
+                *parameter = constant(parameter);
+            }
+            net.forward(frame, &inputs, self.extractor)?
+        })
+    }
+
+    /// What BP-Net sees of a render: colour, disparity times S, dynamic mask.
+    fn inputs(&self, rendered: &Rendered) -> BlurInputs {
+        let alpha = rendered.alpha().clamp_min(1e-3);
+        let depth = (rendered.depth() / alpha).clamp_min(0.05 * self.scene_size);
+        let mask = match rendered.features() {
+            Some(dynamic) => dynamic.squeeze_dim(2),
+            None => rendered.alpha().zeros_like(),
+        };
+        BlurInputs {
+            color: rendered.color(),
+            disparity: depth.recip().mul_scalar(self.scene_size),
+            mask,
+        }
+    }
+
+    /// The terms of a view's loss that kernels have; `fixed_intensity` is what L_spa pulls them to.
+    fn terms(
+        &self,
+        look: &Look<'_>,
+        rendered: &Rendered,
+        trace: &mut KernelTrace,
+        fixed_intensity: Tensor<2>,
+    ) -> Terms {
+        let mut terms = Terms::default();
+        let Some(view) = look.view else {
+            return terms;
+        };
+        let (it, blur) = (look.iteration, &trace.composite);
+        if it > self.moments.downsample_from && !view.is_unseen() {
+            terms.add("downsample", self.weights.downsample, || {
+                let target = view.image(&rendered.color());
+                losses::downsample_loss(rendered.color(), target, 4)
+            });
+        }
+        if it <= self.moments.step_from {
+            return terms;
+        }
+        if it > self.moments.kernel_center_from {
+            terms.add("kernel_center", self.weights.kernel_center, || {
+                kernel_center_loss(blur.center_weight(), fixed_intensity)
+            });
+            terms.add("intensity", self.weights.intensity, || {
+                losses::intensity_penalty(blur.intensity())
+            });
+        }
+        if view.is_unseen() || self.weights.gauge == 0.0 {
+            return terms;
+        }
+        let [rows, columns] = self.gauge.cells;
+        let shifts = cell_means(blur.centroid(), rows, columns);
+        terms.add("gauge", self.weights.gauge, || {
+            self.gauge.penalty(view.frame, shifts.clone())
+        });
+        trace.shifts = Some(shifts);
+        terms
+    }
+
+    pub(super) fn learned(&mut self, frame: usize, trace: KernelTrace) {
+        if let Some(shifts) = trace.shifts {
+            self.gauge.record(frame, shifts);
+        }
+    }
+
+    pub(super) fn parameters_mut(&mut self) -> Vec<(&'static str, &mut Tensor<2>)> {
+        self.net.parameters_mut()
+    }
+
+    pub(super) fn table(&self, device: &Device) -> (&'static str, Tensor<2>) {
+        ("gauge", self.gauge.to_tensor(device))
+    }
+
+    pub(super) fn restore<E>(
+        &mut self,
+        read: &mut impl FnMut(&str, [usize; 2]) -> Result<Tensor<2>, E>,
+    ) -> Result<(), E> {
+        let [rows, columns] = self.gauge.cells;
+        let shape = [self.net.num_frames(), 1 + 2 * rows * columns];
+        self.gauge = Gauge::from_tensor(self.gauge.cells, read("gauge", shape)?);
+        Ok(())
+    }
+}
+
+/// How a view was blurred, for pictures and figures.
+#[derive(Clone, Debug)]
+pub struct KernelView {
+    /// Blur intensity m per pixel.
+    pub intensity: Map,
+    /// Kernels, [H, W, K²], K² weights per pixel.
+    pub kernels: Vec<f32>,
+    /// Mean of m Σ k Δx over the pixels (px; x, y).
+    pub centroid: [f64; 2],
+}
+
+impl KernelTrace {
+    pub(super) fn view(&self) -> KernelView {
+        let [height, width, _] = self.composite.picture().dims();
+        let mut mean = [0.0; 2];
+        for shift in host(self.composite.centroid()).chunks_exact(2) {
+            mean[0] += f64::from(shift[0]);
+            mean[1] += f64::from(shift[1]);
+        }
+        KernelView {
+            intensity: Map {
+                width,
+                height,
+                values: host(self.field.intensity()),
+            },
+            kernels: host(self.field.kernel()),
+            centroid: mean.map(|m| m / (width * height) as f64),
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! Looking at the world: where from, and what comes of it.
+
+use crate::TrainError;
+use crate::tensors::pose_tensor;
+use crate::views::{ViewRef, Viewpoint};
+use crate::world::World;
+use burn::tensor::Tensor;
+use splat_core::{RenderOptions, Rendered, render};
+use tracing::trace_span;
+
+/// What is looked at, and how.
+pub(crate) struct Look<'a> {
+    pub(crate) viewpoint: &'a Viewpoint,
+    /// The training frame whose blur is shown; `None` for a sharp view.
+    pub(crate) frame: Option<usize>,
+    /// 1-based iteration, or iterations done.
+    pub(crate) iteration: usize,
+    pub(crate) sh_degree: usize,
+    /// The view that is learned from, for the blur model's own terms of the loss.
+    pub(crate) view: Option<&'a ViewRef<'a>>,
+    /// Receives the norms of the screen-space gradient, `[N]`.
+    pub(crate) screen_grad: Option<Tensor<1>>,
+}
+
+/// What a model shows of a view; `T` is what the blur model wants to keep of it.
+pub(crate) struct Shown<T> {
+    /// The sharp render.
+    pub(crate) rendered: Rendered,
+    /// What the model says the camera saw, [H, W, 3].
+    pub(crate) seen: Tensor<3>,
+    /// The blur model's own terms of the loss.
+    pub(crate) terms: Terms,
+    /// `None` where the camera saw the sharp render.
+    pub(crate) trace: Option<T>,
+}
+
+impl<T> Shown<T> {
+    /// The camera saw the scene as it is.
+    pub(crate) fn sharp(rendered: Rendered) -> Self {
+        Self {
+            seen: rendered.color(),
+            rendered,
+            terms: Terms::default(),
+            trace: None,
+        }
+    }
+
+    /// Radius of every Gaussian where it was drawn largest, px, `[N]`; 0 for those that were not drawn.
+    pub(crate) fn radii(&self) -> &[f32] {
+        self.rendered.radii()
+    }
+
+    /// What the camera saw. Holes take the picture itself, so that windows over them carry no false loss.
+    pub(crate) fn target(&self, view: &ViewRef<'_>) -> Tensor<3> {
+        let target = view.image(&self.seen);
+        match view.holes(&self.seen.device()) {
+            Some(holes) => {
+                let shape = target.dims();
+                target.mask_where(holes.expand(shape), self.seen.clone().detach())
+            }
+            None => target,
+        }
+    }
+
+    /// The same with something else kept.
+    pub(crate) fn map<U>(self, keep: impl FnOnce(T) -> U) -> Shown<U> {
+        Shown {
+            rendered: self.rendered,
+            seen: self.seen,
+            terms: self.terms,
+            trace: self.trace.map(keep),
+        }
+    }
+}
+
+/// Weighted terms of a loss by name, none of weight zero, each of shape `[1]`.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Terms(pub(crate) Vec<(&'static str, Tensor<1>)>);
+
+impl Terms {
+    pub(crate) fn add(
+        &mut self,
+        name: &'static str,
+        weight: f64,
+        value: impl FnOnce() -> Tensor<1>,
+    ) {
+        if weight != 0.0 {
+            self.0.push((name, value().mul_scalar(weight)));
+        }
+    }
+}
+
+/// The scene as a camera without blur sees it: posed at the look's time, rendered.
+pub(crate) fn render_sharp(world: &World, look: &Look<'_>) -> Result<Rendered, TrainError> {
+    let posed = trace_span!("pose").in_scope(|| world.pose(look.viewpoint.time));
+    let options = RenderOptions {
+        sh_degree: look.sh_degree,
+    };
+    let pose = pose_tensor(&look.viewpoint.cam_from_world, &world.means);
+    let screen_grad = look.screen_grad.clone();
+    Ok(trace_span!("render").in_scope(|| {
+        render(
+            posed.splats,
+            pose,
+            &look.viewpoint.camera,
+            &options,
+            posed.dynamic,
+            screen_grad,
+        )
+    })?)
+}

@@ -1,0 +1,51 @@
+//! What was decided before the first iteration, and stays.
+
+use crate::model::Model;
+use crate::schedule::{Modelled, Schedule};
+use crate::settings::Settings;
+use crate::survey::Survey;
+use crate::views::Views;
+
+/// A run may always have so many Gaussians, however small its pictures.
+const LEAST_MAX_GAUSSIANS: usize = 20_000;
+
+/// What was asked for, what was found in the scene, and when things happen because of both.
+#[derive(Clone, Debug)]
+pub(crate) struct Plan {
+    pub(crate) settings: Settings,
+    pub(crate) survey: Survey,
+    pub(crate) views: Views,
+    pub(crate) schedule: Schedule,
+}
+
+impl Plan {
+    /// Near plane, scene units.
+    pub(crate) fn near(&self) -> f64 {
+        self.settings.gaussians.near * self.survey.scene_size
+    }
+
+    /// The most Gaussians this run may have.
+    pub(crate) fn max_gaussians(&self) -> usize {
+        let per_pixel = self.settings.gaussians.max_per_pixel;
+        if per_pixel == 0.0 {
+            return usize::MAX;
+        }
+        let pixels = self.views.train[0].camera.num_pixels();
+        LEAST_MAX_GAUSSIANS.max((per_pixel * pixels as f64) as usize)
+    }
+}
+
+/// When things happen in the training of `model`; `unseen` says whether there are unseen views.
+pub(crate) fn schedule_of(
+    settings: &Settings,
+    views: &Views,
+    model: &Model,
+    unseen: bool,
+) -> Schedule {
+    let modelled = Modelled {
+        motion: model.world.motion.is_some(),
+        unseen,
+        blur_moments: model.blur.moments(),
+    };
+    Schedule::new(settings, views.train.len(), modelled)
+}

@@ -1,0 +1,167 @@
+//! A run: what was decided and what has been learned. It needs no data set to be rendered, exported and looked at.
+
+use crate::TrainError;
+use crate::blur::{Shown, ViewBlur};
+use crate::look::Look;
+use crate::model::Model;
+use crate::plan::Plan;
+use crate::schedule::Schedule;
+use crate::settings::Settings;
+use crate::state::State;
+use crate::survey::Survey;
+use crate::tensors::host;
+use crate::views::{ViewRef, Viewpoint, Views};
+use burn::tensor::{Device, Tensor};
+use glam::DAffine3;
+use io::Image;
+use splat_core::Camera;
+
+/// A run at some iteration.
+#[derive(Debug)]
+pub struct Run {
+    pub(crate) plan: Plan,
+    pub(crate) state: State,
+    pub(crate) device: Device,
+}
+
+/// A training view, sharp and as the model says that the camera saw it.
+#[derive(Clone, Debug)]
+pub struct TrainingView {
+    /// The sharp render.
+    pub sharp: Image,
+    /// What the model says the camera saw; the sharp render where blur is not modelled.
+    pub seen: Image,
+    /// How it was blurred; `None` where blur is not modelled, or not yet.
+    pub blur: Option<ViewBlur>,
+}
+
+impl Run {
+    /// The settings of this run.
+    #[must_use]
+    pub fn settings(&self) -> &Settings {
+        &self.plan.settings
+    }
+
+    /// What was found in the scene and decided from it.
+    #[must_use]
+    pub fn survey(&self) -> &Survey {
+        &self.plan.survey
+    }
+
+    /// When things happen.
+    #[must_use]
+    pub fn schedule(&self) -> &Schedule {
+        &self.plan.schedule
+    }
+
+    /// From where the scene was filmed.
+    #[must_use]
+    pub fn views(&self) -> &Views {
+        &self.plan.views
+    }
+
+    /// Gaussians, motion and blur model as they are now.
+    #[must_use]
+    pub fn model(&self) -> &Model {
+        &self.state.model
+    }
+
+    /// Iterations done.
+    #[must_use]
+    pub fn iteration(&self) -> usize {
+        self.state.progress.iteration
+    }
+
+    /// Whether all iterations are done.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        self.iteration() >= self.plan.settings.iterations
+    }
+
+    /// The scene as a camera sees it at a time (training frames, may be fractional), sharp.
+    ///
+    /// # Errors
+    /// The renderer refuses its input.
+    pub fn render_view(
+        &self,
+        camera: &Camera,
+        cam_from_world: &DAffine3,
+        time: f32,
+    ) -> Result<Image, TrainError> {
+        let viewpoint = Viewpoint {
+            name: String::new(),
+            camera: camera.clone().with_near(self.plan.near()),
+            cam_from_world: *cam_from_world,
+            time,
+        };
+        self.render_viewpoint(&viewpoint)
+    }
+
+    /// The same from a viewpoint of [`Self::views`].
+    pub(crate) fn render_viewpoint(&self, viewpoint: &Viewpoint) -> Result<Image, TrainError> {
+        let model = self.state.model.detached();
+        let look = self.look(viewpoint, self.iteration());
+        let shown = model.blur.show(&model.world, &look, None)?;
+        Ok(to_image(shown.rendered.color()))
+    }
+
+    /// A training view, sharp and as the model says that the camera saw it.
+    ///
+    /// # Errors
+    /// The renderer refuses its input.
+    ///
+    /// # Panics
+    /// Panics if there is no such frame.
+    pub fn render_training_view(&self, frame: usize) -> Result<TrainingView, TrainError> {
+        let model = self.state.model.detached();
+        let look = Look {
+            frame: Some(frame),
+            ..self.look(&self.plan.views.train[frame], self.iteration())
+        };
+        let shown = model.blur.show(&model.world, &look, None)?;
+        Ok(TrainingView {
+            sharp: to_image(shown.rendered.color()),
+            seen: to_image(shown.seen),
+            blur: shown.trace.map(ViewBlur::from),
+        })
+    }
+
+    /// What `model`, this run's own or one like it, shows of a view that is learned from.
+    pub(crate) fn show_view(
+        &self,
+        model: &Model,
+        it: usize,
+        view: &ViewRef<'_>,
+        fixed: Option<&Shown>,
+        screen_grad: Option<Tensor<1>>,
+    ) -> Result<Shown, TrainError> {
+        let look = Look {
+            frame: Some(view.frame),
+            view: Some(view),
+            screen_grad,
+            ..self.look(view.viewpoint, it)
+        };
+        model.blur.show(&model.world, &look, fixed)
+    }
+
+    /// A look from a viewpoint as a sharp camera has it, at iteration `it`.
+    fn look<'a>(&self, viewpoint: &'a Viewpoint, it: usize) -> Look<'a> {
+        Look {
+            viewpoint,
+            frame: None,
+            iteration: it,
+            sh_degree: self.plan.schedule.sh_degree_at(it),
+            view: None,
+            screen_grad: None,
+        }
+    }
+}
+
+fn to_image(picture: Tensor<3>) -> Image {
+    let [height, width, _] = picture.dims();
+    Image {
+        width,
+        height,
+        pixels: host(picture),
+    }
+}

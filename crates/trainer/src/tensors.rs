@@ -1,0 +1,43 @@
+//! Tensors of the trainer: constants, leaves, and values on the host.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use glam::DAffine3;
+use splat_core::pose_rows;
+
+/// The same values without a graph. (`detach` would not do: it keeps a leaf's wish for a gradient.)
+pub(crate) fn constant(tensor: &Tensor<2>) -> Tensor<2> {
+    Tensor::from_inner(tensor.clone().inner())
+}
+
+/// The rows from `start` on; `None` where there are none, since Burn cannot narrow to nothing.
+pub(crate) fn rows_from(tensor: &Tensor<2>, start: usize) -> Option<Tensor<2>> {
+    let rest = tensor.dims()[0] - start;
+    (rest > 0).then(|| tensor.clone().narrow(0, start, rest))
+}
+
+/// The values of a tensor on the host, as f32.
+pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor
+        .try_into_vec_as::<f32>()
+        .expect("a float tensor can be read back")
+}
+
+/// A tensor of host values with the device and dtype of the model.
+pub(crate) fn tensor<const D: usize>(
+    values: Vec<f32>,
+    shape: [usize; D],
+    device: &Device,
+) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+/// A pose as a tensor [3, 4] of the device and dtype of another.
+pub(crate) fn pose_tensor<const D: usize>(
+    cam_from_world: &DAffine3,
+    like: &Tensor<D>,
+) -> Tensor<2> {
+    Tensor::from_data(
+        TensorData::new(pose_rows(cam_from_world).to_vec(), [3, 4]),
+        (&like.device(), like.dtype()),
+    )
+}
