@@ -6,7 +6,7 @@
 //! is made again on load.
 
 use crate::TrainError;
-use crate::adam::AdamState;
+use crate::adam::{AdamState, Steps};
 use crate::density::DensityStats;
 use crate::gauge::Gauge;
 use crate::model::{Model, MotionModel, host, tensor};
@@ -40,7 +40,7 @@ struct Header {
     num_dynamic: usize,
     has_motion: bool,
     has_blur: bool,
-    adam_steps: BTreeMap<String, u32>,
+    adam_steps: BTreeMap<String, Steps>,
 }
 
 impl Trainer {
@@ -88,7 +88,7 @@ impl Trainer {
                 .optimizer
                 .states
                 .iter()
-                .map(|(name, s)| (name.clone(), s.steps))
+                .map(|(name, s)| (name.clone(), s.steps.clone()))
                 .collect(),
         };
         let header = serde_json::to_string(&header).map_err(|e| fail(e.to_string()))?;
@@ -208,7 +208,7 @@ impl Trainer {
             let state = AdamState {
                 moment1: matrix(&format!("adam.1.{name}"), &inner)?,
                 moment2: matrix(&format!("adam.2.{name}"), &inner)?,
-                steps: *steps,
+                steps: steps.clone(),
             };
             optimizer.states.insert(name.clone(), state);
         }
@@ -216,8 +216,7 @@ impl Trainer {
             let Some(state) = optimizer.states.get(&name) else {
                 continue;
             };
-            if state.moment1.dims() != parameter.dims() || state.moment2.dims() != parameter.dims()
-            {
+            if !state.fits(parameter.dims()) {
                 return Err(fail(format!(
                     "the moments of {name} do not have its shape {:?}",
                     parameter.dims()

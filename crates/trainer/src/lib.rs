@@ -27,7 +27,13 @@ pub mod metrics;
 pub mod schedule;
 pub mod settings;
 
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
+mod backends;
 mod checkpoint;
+mod cpu;
 mod dynamics;
 mod error;
 mod evaluate;
@@ -36,12 +42,17 @@ mod lifting;
 mod model;
 mod neighbors;
 mod objective;
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
+mod ops;
 mod optimizer;
 mod placement;
 mod random;
-mod real;
 mod step;
 mod survey;
+mod tensors;
 mod trainer;
 mod views;
 

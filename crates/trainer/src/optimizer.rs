@@ -1,6 +1,6 @@
 //! Adam for every parameter, by name, and each parameter's learning rate.
 
-use crate::adam::{AdamOptions, AdamState, LearningRate, adam_step};
+use crate::adam::{AdamState, AdamStep, LearningRate, adam_step};
 use crate::density::RowEdit;
 use crate::schedule::{REFERENCE_ITERATIONS, Schedule};
 use crate::settings::LearningRates;
@@ -26,7 +26,7 @@ impl Optimizer {
             .states
             .entry(name.to_owned())
             .or_insert_with(|| AdamState::new(parameter));
-        adam_step(parameter, grad, state, rate, &AdamOptions::default());
+        adam_step(parameter, grad, state, &AdamStep { rate, drawn: &[] });
     }
 
     /// Follows an edit of a parameter's rows.

@@ -7,11 +7,12 @@ use crate::density::{
     split_offsets,
 };
 use crate::dynamics::{densify, densify_share};
+use crate::metrics::psnr_of;
 use crate::model::{Model, host, rows_from};
 use crate::objective::Objective;
 use crate::optimizer::Rates;
 use crate::random::{Purpose, generator};
-use crate::real::leaf;
+use crate::tensors::leaf;
 use crate::trainer::Trainer;
 use crate::views::ViewRef;
 use burn::tensor::{Gradients, Tensor};
@@ -32,7 +33,7 @@ pub struct StepReport {
     pub loss: f64,
     /// The weighted terms by name.
     pub terms: Vec<(&'static str, f64)>,
-    /// PSNR of what the model says the camera saw against the frame, in dB.
+    /// PSNR of what the model says the camera saw against the frame, in dB, over the pixels that have a target.
     pub psnr: f64,
     /// Name of the view.
     pub view: String,
@@ -67,7 +68,7 @@ impl Trainer {
             .then(|| Tensor::<1>::zeros([self.model.num_gaussians()], &self.device).require_grad());
         let shown = self.show(&self.model, it, &view, None, screen_grad.clone())?;
         let target = shown.target(&view);
-        let psnr = trace_span!("psnr").in_scope(|| current_psnr(&shown.blurred, &target));
+        let psnr = trace_span!("psnr").in_scope(|| psnr_of(&shown.blurred, &target, view.valid));
         let Objective { terms, shifts } = trace_span!("losses")
             .in_scope(|| self.objective(&self.model, it, &view, &shown, &shown, target));
 
@@ -305,12 +306,4 @@ fn insert_rows(tensor: &Tensor<2>, at: usize, rows: &Tensor<2>) -> Tensor<2> {
     let mut parts = vec![old.clone().narrow(0, 0, at), rows.clone().inner()];
     parts.extend(rows_from(&old, at));
     leaf(Tensor::cat(parts, 0), tensor.is_autodiff())
-}
-
-/// PSNR in dB of detached pictures.
-fn current_psnr(a: &Tensor<3>, b: &Tensor<3>) -> f64 {
-    let (a, b) = (host(a.clone().detach()), host(b.clone().detach()));
-    let squares = a.iter().zip(&b).map(|(a, b)| f64::from(a - b).powi(2));
-    let error = squares.sum::<f64>() / a.len() as f64;
-    -10.0 * error.max(1e-12).log10()
 }
