@@ -13,7 +13,7 @@ use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use glam::DAffine3;
 use limpid_bench::workload::{Blur, Workload, slices};
 use splat_core::cpu::{BackwardOptions, View, backward, project, rasterize};
-use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
+use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 use trainer::losses::ssim;
 
 /// As in the program: large buffers are kept for the next iteration.
@@ -148,17 +148,11 @@ fn rest(c: &mut Criterion) {
     let mut parameter = picture(48, 20_000, 1, &device).squeeze_dim::<2>(2);
     let gradient = parameter.clone();
     let mut state = AdamState::new(&parameter);
-    let rate = LearningRate::Uniform(1e-3);
+    let rate = &LearningRate::Uniform(1e-3);
     c.bench_function("Adam, 960,000 values", |bench| {
         bench.iter(|| {
-            let options = AdamOptions::default();
-            adam_step(
-                &mut parameter,
-                gradient.clone(),
-                &mut state,
-                &rate,
-                &options,
-            );
+            let step = AdamStep { rate, drawn: &[] };
+            adam_step(&mut parameter, gradient.clone(), &mut state, &step);
         });
     });
 }

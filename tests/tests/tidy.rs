@@ -16,7 +16,14 @@ const ARROWS: [(&str, &[&str]); 11] = [
     ("io", &["splat-core"]),
     (
         "trainer",
-        &["splat-core", "motion-bases", "bpnet", "unseen-views", "io"],
+        &[
+            "host",
+            "splat-core",
+            "motion-bases",
+            "bpnet",
+            "unseen-views",
+            "io",
+        ],
     ),
     ("limpid", &["io", "trainer"]),
     (

@@ -1,8 +1,8 @@
 //! Adam and density control on tensors, on every backend that is compiled in.
 
-use burn::tensor::DType;
-use limpid_tests::{devices, property, tensor, unit_noise, values};
-use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step, finite_gradient};
+use burn::tensor::{DType, Tensor};
+use limpid_tests::{devices, noise, property, tensor, unit_noise, values};
+use trainer::adam::{AdamState, AdamStep, LearningRate, Steps, adam_step, finite_gradient};
 use trainer::density::{
     DensityOptions, RowEdit, RowKind, add_to_rows, gather_rows, plan_density, reset_opacity,
 };
@@ -15,6 +15,10 @@ fn edit() -> RowEdit {
         kind: vec![Kept, Kept, Clone, Kept, SplitChild, SplitChild],
         num_dynamic: 3,
     }
+}
+
+fn together(rate: &LearningRate) -> AdamStep<'_> {
+    AdamStep { rate, drawn: &[] }
 }
 
 #[test]
@@ -40,8 +44,7 @@ fn adam_leaves_a_leaf_and_follows_its_definition() {
                         &mut param,
                         tensor(&grad, [4, 3], &device, dtype),
                         &mut state,
-                        &rate,
-                        &AdamOptions::default(),
+                        &together(&rate),
                     );
                     for k in 0..12 {
                         m[k] = 0.9 * m[k] + 0.1 * grad[k];
@@ -51,7 +54,7 @@ fn adam_leaves_a_leaf_and_follows_its_definition() {
                         expected[k] -= rate * m[k] / (1.0 - 0.9_f64.powi(step)) / root;
                     }
                 }
-                assert_eq!(state.steps, 50);
+                assert_eq!(state.steps, Steps::Together(50));
                 assert_eq!(param.is_require_grad(), autodiff, "{name}");
                 assert_eq!(param.dtype(), dtype, "{name}");
                 for (value, expected) in values(param.clone()).iter().zip(&expected) {
@@ -64,6 +67,89 @@ fn adam_leaves_a_leaf_and_follows_its_definition() {
                 }
             }
         }
+    }
+}
+
+/// The bits of one row of each: f64 holds what f32 computes.
+fn row_of(tensors: [&Tensor<2>; 3], row: usize) -> Vec<u64> {
+    let row = |t: &Tensor<2>| values(t.clone().inner().narrow(0, row, 1));
+    tensors
+        .into_iter()
+        .flat_map(row)
+        .map(f64::to_bits)
+        .collect()
+}
+
+#[test]
+fn rows_step_only_when_drawn_and_then_as_if_they_were_alone() {
+    property("rows of frames", 20, |u| {
+        let (rows, columns) = (u.int_in_range(1..=6_usize)?, u.int_in_range(1..=9_usize)?);
+        let draws: Vec<Vec<usize>> = (0..u.int_in_range(1..=12)?)
+            .map(|_| {
+                (0..rows)
+                    .filter_map(|row| u.ratio(1, 3_u8).map(|yes| yes.then_some(row)).transpose())
+                    .collect()
+            })
+            .collect::<Result<_, _>>()?;
+        let dtype = *u.choose(&[DType::F32, DType::F64])?;
+        for (name, device) in devices() {
+            let rate = LearningRate::first_and_rest(0.1, 1, 0.02, columns);
+            let shape = [rows, columns];
+            let of = |seed: u64| tensor(&noise(rows * columns, seed), shape, &device, dtype);
+            let (mut parameter, start) = (of(1), of(1));
+            let mut state = AdamState::per_row(&parameter);
+            // Each row by itself, in a plain Adam that is stepped when the row is drawn.
+            let alone = |t: &Tensor<2>, row| t.clone().narrow(0, row, 1);
+            let mut single: Vec<(Tensor<2>, AdamState)> = (0..rows)
+                .map(|row| (alone(&start, row), AdamState::new(&alone(&start, row))))
+                .collect();
+            let mut counts = vec![0; rows];
+            for (k, drawn) in draws.iter().enumerate() {
+                let gradient = of(2 + k as u64);
+                let step = AdamStep { rate: &rate, drawn };
+                let before: Vec<_> = (0..rows)
+                    .map(|row| row_of([&parameter, &state.moment1, &state.moment2], row))
+                    .collect();
+                adam_step(&mut parameter, gradient.clone(), &mut state, &step);
+                for row in 0..rows {
+                    let now = row_of([&parameter, &state.moment1, &state.moment2], row);
+                    let (single, plain) = &mut single[row];
+                    if drawn.contains(&row) {
+                        counts[row] += 1;
+                        adam_step(single, alone(&gradient, row), plain, &together(&rate));
+                    } else {
+                        assert_eq!(now, before[row], "{name}: row {row} was not drawn");
+                    }
+                    let expected = row_of([single, &plain.moment1, &plain.moment2], 0);
+                    assert_eq!(
+                        now, expected,
+                        "{name}: row {row}, drawn {} times",
+                        counts[row]
+                    );
+                }
+                assert_eq!(state.steps, Steps::PerRow(counts.clone()), "{name}");
+            }
+        }
+        Ok(())
+    });
+}
+
+#[test]
+fn steps_of_rows_follow_edits_and_files() {
+    for (name, device) in devices() {
+        let parameter = tensor(&noise(10, 3), [5, 2], &device, DType::F32);
+        let mut state = AdamState::per_row(&parameter);
+        state.steps = Steps::PerRow(vec![5, 6, 7, 8, 9]);
+        assert!(state.fits([5, 2]) && !state.fits([4, 2]), "{name}");
+        state.gather(&edit());
+        assert_eq!(state.steps, Steps::PerRow(vec![5, 6, 0, 7, 0, 0]), "{name}");
+        state.steps = Steps::PerRow(vec![1]);
+        assert!(!state.fits([6, 2]), "{name}: a count for every row");
+    }
+    for steps in [Steps::Together(3), Steps::PerRow(vec![2, 0, 5])] {
+        let text = serde_json::to_string(&steps).expect("it can be written");
+        let read: Steps = serde_json::from_str(&text).expect("it can be read");
+        assert_eq!(read, steps, "{text}");
     }
 }
 
@@ -104,8 +190,7 @@ fn moments_follow_clone_split_and_prune() {
             &mut param,
             tensor(&unit_noise(10, 9), [5, 2], &device, DType::F32),
             &mut state,
-            &LearningRate::Uniform(0.1),
-            &AdamOptions::default(),
+            &together(&LearningRate::Uniform(0.1)),
         );
         let old = [&param, &state.moment1, &state.moment2].map(|t| values(t.clone()));
         state.gather(&edit());
@@ -127,7 +212,11 @@ fn moments_follow_clone_split_and_prune() {
                 }
             }
         }
-        assert_eq!(state.steps, 1, "{name}: the count is shared");
+        assert_eq!(
+            state.steps,
+            Steps::Together(1),
+            "{name}: the count is shared"
+        );
         state.zero_moments();
         assert_eq!(values(state.moment1.clone()), [0.0; 12], "{name}");
         assert_eq!(state.moment2.dims(), [6, 2], "{name}");

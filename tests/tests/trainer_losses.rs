@@ -5,6 +5,7 @@ use limpid_tests::{GradLimits, check_gradients, devices, in_pool, tensor, unit_n
 use trainer::losses::{
     depth_loss, downsample_loss, intensity_penalty, mask_band, mask_loss, photometric, ssim,
 };
+use trainer::metrics::{LARGEST_PSNR, masked_psnr, psnr_of};
 
 fn scalar(tensor: Tensor<1>) -> f64 {
     tensor.into_scalar::<f64>()
@@ -341,5 +342,38 @@ fn the_depth_loss_forgives_scale_and_shift_and_nothing_else() {
         // Depths at zero keep to the floor: S / (0.05 S) against S / z.
         let near = loss(&vec![4.0; depth.len()], &vec![0.0; depth.len()], 1.0);
         assert!((near - 19.0).abs() < 1e-9, "{name}: {near}");
+    }
+}
+
+#[test]
+fn the_psnr_of_a_step_counts_valid_pixels_alone() {
+    for (name, device) in devices() {
+        let of = |v: &[f64]| tensor(v, [4, 5, 3], &device, DType::F32);
+        let picture = unit_noise(60, 1);
+        // The lower half is filled with the picture itself, as an unseen view's holes are.
+        let target: Vec<f64> = unit_noise(60, 2)
+            .iter()
+            .zip(&picture)
+            .enumerate()
+            .map(|(k, (t, p))| if k < 30 { *t } else { *p })
+            .collect();
+        let score = |valid: Option<&[bool]>| psnr_of(&of(&picture), &of(&target), valid);
+        let upper: Vec<bool> = (0..20).map(|k| k < 10).collect();
+        let lower: Vec<bool> = upper.iter().map(|valid| !valid).collect();
+        let narrow = |v: &[f64]| v.iter().map(|v| *v as f32).collect::<Vec<f32>>();
+        let expected = masked_psnr(&narrow(&picture), &narrow(&target), &upper);
+        let expected = expected.expect("ten pixels are set");
+        assert!((score(Some(&upper)) - expected).abs() < 1e-4, "{name}");
+        assert_eq!(
+            score(Some(&[true; 20])),
+            score(None),
+            "{name}: the same bits"
+        );
+        assert!(
+            score(None) > score(Some(&upper)) + 3.0,
+            "{name}: holes flatter"
+        );
+        assert_eq!(score(Some(&lower)), LARGEST_PSNR, "{name}");
+        assert!(score(Some(&[false; 20])).is_nan(), "{name}");
     }
 }

@@ -6,7 +6,7 @@
 //! The schedule, which follows from these, is made again on opening, and so are unseen views on going on.
 
 use crate::TrainError;
-use crate::adam::AdamState;
+use crate::adam::{AdamState, Steps};
 use crate::blur::BlurModel;
 use crate::density::DensityStats;
 use crate::error::{CheckpointProblem, SceneProblem};
@@ -49,7 +49,7 @@ struct Header {
     progress: Progress,
     num_dynamic: usize,
     has_motion: bool,
-    adam_steps: BTreeMap<String, u32>,
+    adam_steps: BTreeMap<String, Steps>,
 }
 
 impl Run {
@@ -108,7 +108,9 @@ impl Run {
             progress: state.progress,
             num_dynamic: state.model.num_dynamic(),
             has_motion: state.model.world.motion.is_some(),
-            adam_steps: steps.map(|(name, s)| (name.clone(), s.steps)).collect(),
+            adam_steps: steps
+                .map(|(name, s)| (name.clone(), s.steps.clone()))
+                .collect(),
         };
         let views = buffers
             .iter()
@@ -183,16 +185,16 @@ impl Run {
             let state = AdamState {
                 moment1: matrix(&file, &format!("adam.1.{name}"), &inner)?,
                 moment2: matrix(&file, &format!("adam.2.{name}"), &inner)?,
-                steps: *steps,
+                steps: steps.clone(),
             };
             optimizer.states.insert(name.clone(), state);
         }
         for (parameter, tensor) in model.parameters() {
-            if let Some(state) = optimizer.states.get(&parameter.name) {
-                let name = format!("adam.1.{}", parameter.name);
-                check_shape(&name, &state.moment1, tensor.dims())?;
-                let name = format!("adam.2.{}", parameter.name);
-                check_shape(&name, &state.moment2, tensor.dims())?;
+            let fits = optimizer.states.get(&parameter.name);
+            if fits.is_some_and(|state| !state.fits(tensor.dims())) {
+                return Err(CheckpointProblem::Moments {
+                    parameter: parameter.name,
+                });
             }
         }
         let (grad_sum, _) = values(&file, "density.grad_sum")?;

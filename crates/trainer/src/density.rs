@@ -9,7 +9,7 @@ mod split;
 pub use rows::{RowEdit, RowKind, add_to_rows, gather_rows};
 pub use split::{SplitOffsets, split_offsets};
 
-use crate::real::leaf;
+use crate::tensors::leaf;
 use burn::tensor::Tensor;
 use rows::Builder;
 use std::ops::Range;

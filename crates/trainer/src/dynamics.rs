@@ -2,14 +2,13 @@
 //! densification that the paper calls dynamic.
 
 use crate::TrainError;
-use crate::adam::{AdamOptions, AdamState, LearningRate, adam_step, finite_gradient};
+use crate::adam::{AdamState, AdamStep, LearningRate, adam_step, finite_gradient};
 use crate::lifting::lift_tracks;
 use crate::neighbors::{Neighbors, mean_neighbor_distances};
 use crate::placement::{Seeds, depth_edges, lift, pixel_color};
 use crate::random::{Purpose, derived_seed, generator, sample};
-use crate::real::leaf;
 use crate::settings::Settings;
-use crate::tensors::host;
+use crate::tensors::{host, leaf};
 use crate::world::{GaussianTensors, MotionModel, World};
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DMat3, DVec3};
@@ -112,7 +111,11 @@ pub(crate) fn start_dynamics(
                 name,
                 problem,
             })?;
-            adam_step(parameter, grad, state, &rate, &AdamOptions::default());
+            let step = AdamStep {
+                rate: &rate,
+                drawn: &[],
+            };
+            adam_step(parameter, grad, state, &step);
         }
     }
 

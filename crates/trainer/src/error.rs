@@ -218,6 +218,12 @@ pub enum CheckpointProblem {
         /// The shape that fits the rest.
         expected: Vec<usize>,
     },
+    /// Adam's moments or steps do not fit their parameter.
+    #[error("the moments of {parameter} do not fit it")]
+    Moments {
+        /// Its name.
+        parameter: String,
+    },
     /// A tensor holds a number that is none.
     #[error("tensor {tensor} has {value} in row {row}")]
     NotFinite {

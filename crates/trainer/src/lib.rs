@@ -27,8 +27,14 @@ pub mod metrics;
 pub mod schedule;
 pub mod settings;
 
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
+mod backends;
 mod blur;
 mod checkpoint;
+mod cpu;
 mod dynamics;
 mod error;
 mod lifting;
@@ -36,13 +42,17 @@ mod look;
 mod model;
 mod neighbors;
 mod objective;
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
+mod ops;
 mod optimizer;
 mod parameter;
 mod placement;
 mod plan;
 mod population;
 mod random;
-mod real;
 mod run;
 mod scores;
 mod state;

@@ -1,17 +1,12 @@
 //! Losses on tensors. Each is a scalar of shape `[1]` and differentiable in its first tensor; what is
 //! selected, trimmed or fitted is decided on detached values.
 
-mod depth;
-mod mask;
-mod ssim;
+use crate::cpu::depth::NEAREST;
+use crate::ops::{ImageLossOps, TrainerOps};
+use burn::backend::Dispatch;
+use burn::tensor::{Tensor, TensorData};
 
-pub use depth::{DisparityFit, depth_loss, fit_disparity};
-pub use mask::{mask_band, mask_loss};
-use ssim::l1_and_ssim;
-pub use ssim::ssim;
-pub(crate) use ssim::{WINDOW_EDGE, ssim_map};
-
-use burn::tensor::Tensor;
+pub use crate::cpu::depth::{DisparityFit, fit_disparity};
 
 /// Mean of all entries [R, …], row by row first: a sum over everything at once takes an order that depends on the number of
 /// threads from 4,194,304 entries on.
@@ -28,7 +23,31 @@ pub(crate) fn mean<const D: usize>(tensor: Tensor<D>) -> Tensor<1> {
 /// `render` and `target` are [H, W, 3]; `target` is data and gets no gradient.
 #[must_use]
 pub fn photometric(render: Tensor<3>, target: Tensor<3>, beta: f64) -> Tensor<1> {
-    l1_and_ssim(render, &target, [1.0 - beta, -beta]) + beta
+    l1_and_ssim(render, target, [1.0 - beta, -beta]) + beta
+}
+
+/// Mean SSIM of two pictures [H, W, 3]: 11x11 Gaussian window of sigma 1.5, zeros outside the picture, C1 = 0.01²,
+/// C2 = 0.03², mean over pixels and channels. Shape `[1]`.
+///
+/// Differentiable in `a`; `b` is data.
+///
+/// # Panics
+/// Panics if the shapes differ, if there are not three channels, or if the dtypes differ.
+#[must_use]
+pub fn ssim(a: Tensor<3>, b: &Tensor<3>) -> Tensor<1> {
+    l1_and_ssim(a, b.clone(), [0.0, 1.0])
+}
+
+/// Mean absolute difference and mean SSIM of two pictures, each times its weight.
+fn l1_and_ssim(a: Tensor<3>, b: Tensor<3>, weights: [f64; 2]) -> Tensor<1> {
+    assert_eq!(a.dims(), b.dims(), "two pictures of one size");
+    assert_eq!(a.dims()[2], 3, "pictures have three channels");
+    let _span = tracing::trace_span!("image loss").entered();
+    Tensor::from_dispatch(<Dispatch as ImageLossOps>::image_loss(
+        a.into_dispatch(),
+        b.into_dispatch(),
+        weights,
+    ))
 }
 
 /// L1 between the sharp render and the blurry frame after both are averaged over blocks of `factor` x `factor` pixels.
@@ -62,4 +81,96 @@ pub fn downsample_loss(sharp: Tensor<3>, blurry: Tensor<3>, factor: usize) -> Te
 #[must_use]
 pub fn intensity_penalty<const D: usize>(intensity: Tensor<D>) -> Tensor<1> {
     mean(intensity)
+}
+
+/// L1 between rendered and given disparity, times the scene size S; shape `[1]`.
+///
+/// `depth` [H, W] is Σ z α T and `alpha` [H, W] is Σ α T of the render, `given` [H, W] the depth of the input (scene units), zero,
+/// negative or infinite where it is missing. The rendered depth is depth / alpha with alpha detached, so the gradient
+/// goes to `depth` alone. Only pixels with alpha above 0.5 and a given depth count; depths have a floor of
+/// 0.05 S. The given disparities are first brought to the rendered ones by [`fit_disparity`]. Zero where no pixel counts.
+///
+/// # Panics
+/// Panics if the sizes do not agree, or the dtypes of `depth` and `alpha`.
+#[must_use]
+pub fn depth_loss(
+    depth: Tensor<2>,
+    alpha: &Tensor<2>,
+    given: &[f32],
+    scene_size: f64,
+) -> Tensor<1> {
+    assert_eq!(depth.dims(), alpha.dims(), "depth and alpha of one render");
+    let [height, width] = depth.dims();
+    assert_eq!(given.len(), height * width, "one given depth per pixel");
+    let targets = <Dispatch as TrainerOps>::depth_targets(
+        depth.clone().inner().into_dispatch(),
+        alpha.clone().inner().into_dispatch(),
+        given,
+        scene_size,
+    );
+    let [per_alpha, wanted, weight] =
+        [targets.per_alpha, targets.wanted, targets.weight].map(Tensor::<2>::from_dispatch);
+    // Pixels that do not count get the floor's disparity and a weight of zero.
+    let nearest = NEAREST * scene_size;
+    let rendered = (depth * per_alpha).clamp_min(nearest).recip() * scene_size;
+    ((rendered - wanted).abs() * weight).sum()
+}
+
+/// The band's width in pixels for a picture of this width: 2 at 256, in proportion, at least 1.
+#[must_use]
+pub fn mask_band(width: usize) -> usize {
+    ((width + 64) / 128).max(1)
+}
+
+/// Trimmed L1 between the rendered dynamic mask and the given one, both [H, W].
+///
+/// Pixels within `band` pixels (in rows and columns) of the edge between inside (`target` above 0.5) and outside
+/// carry no loss: blurred movers spill over it. Of the others the largest errors are left out, those above the 98 % quantile,
+/// inside and outside **each by itself**: a mover under 2 % of the picture would otherwise have no loss.
+/// Pixels that are not `valid` (the holes of an unseen view) carry none either.
+/// The result is the mean over what is kept; zero where nothing is. Shape `[1]`.
+///
+/// # Panics
+/// Panics if `target` or `valid` does not have H W entries.
+#[must_use]
+pub fn mask_loss(
+    rendered: Tensor<2>,
+    target: &[f32],
+    valid: Option<&[bool]>,
+    band: usize,
+) -> Tensor<1> {
+    let [height, width] = rendered.dims();
+    assert_eq!(
+        target.len(),
+        height * width,
+        "one target per rendered pixel"
+    );
+    assert!(
+        valid.is_none_or(|valid| valid.len() == target.len()),
+        "one validity per rendered pixel"
+    );
+    let known = rendered.clone().inner();
+    let like = (&known.device(), known.dtype());
+    let given = Tensor::<2>::from_data(TensorData::new(target.to_vec(), [height, width]), like);
+    let weight = Tensor::<2>::from_dispatch(<Dispatch as TrainerOps>::mask_weights(
+        known.into_dispatch(),
+        target,
+        valid,
+        band,
+    ));
+    ((rendered - given).abs() * weight).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_band_grows_with_the_picture() {
+        assert_eq!(
+            [32, 128, 256, 512].map(mask_band),
+            [1, 1, 2, 4],
+            "two pixels at 256"
+        );
+    }
 }

@@ -1,9 +1,12 @@
-//! Scores of pictures on plain slices, in f64.
+//! Scores of pictures, in f64.
 //!
-//! Pictures are row-major [H, W, 3] in [0, 1]; the caller quantises them to 8 bit first, so that the
+//! Pictures on slices are row-major [H, W, 3] in [0, 1]; the caller quantises them to 8 bit first, so that the
 //! score is that of the PNG which is written.
 
-use crate::losses::{WINDOW_EDGE, ssim_map};
+use crate::cpu::ssim::{WINDOW_EDGE, ssim_map};
+use crate::ops::TrainerOps;
+use burn::backend::Dispatch;
+use burn::tensor::Tensor;
 
 /// PSNR of identical pictures, in dB, so that a score stays a number that JSON can hold. One unit of
 /// 8 bit off in a single sample of a million is 108 dB; anything better counts as this much.
@@ -38,6 +41,35 @@ pub fn masked_psnr(a: &[f32], b: &[f32], mask: &[bool]) -> Option<f64> {
         pixels += 1;
     }
     (pixels > 0).then(|| decibel(sum, pixels * 3))
+}
+
+/// PSNR in dB of two pictures [H, W, 3] as they are, over the `valid` pixels [H, W]; `None` means all. Not a number where no
+/// pixel is valid.
+///
+/// # Panics
+/// Panics if the pictures' shapes or dtypes differ, or if `valid` does not have H W entries.
+#[must_use]
+pub fn psnr_of(picture: &Tensor<3>, target: &Tensor<3>, valid: Option<&[bool]>) -> f64 {
+    let [height, width, channels] = picture.dims();
+    assert_eq!(
+        target.dims(),
+        [height, width, channels],
+        "two pictures of one size"
+    );
+    assert_eq!(channels, 3, "pictures have three channels");
+    let pixels = valid.map_or(height * width, |valid| {
+        assert_eq!(valid.len(), height * width, "one validity per pixel");
+        valid.iter().filter(|valid| **valid).count()
+    });
+    if pixels == 0 {
+        return f64::NAN;
+    }
+    let error = <Dispatch as TrainerOps>::squared_error(
+        picture.clone().inner().into_dispatch(),
+        target.clone().inner().into_dispatch(),
+        valid,
+    );
+    decibel(error, pixels * 3)
 }
 
 /// Structural similarity (Wang et al., 2004): 11x11 Gaussian window of sigma 1.5, C1 = 0.01², C2 = 0.03²,

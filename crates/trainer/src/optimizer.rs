@@ -1,6 +1,6 @@
 //! Adam for every parameter, by name, and each parameter's learning rate.
 
-use crate::adam::{AdamOptions, AdamState, LearningRate, adam_step};
+use crate::adam::{AdamState, AdamStep, LearningRate, adam_step};
 use crate::density::RowEdit;
 use crate::parameter::{Group, Parameter, Rows};
 use crate::plan::Plan;
@@ -21,13 +21,16 @@ impl Optimizer {
         parameter: &Parameter,
         tensor: &mut Tensor<2>,
         grad: Tensor<2>,
-        rate: &LearningRate,
+        step: &AdamStep<'_>,
     ) {
         let state = self
             .states
             .entry(parameter.name.clone())
-            .or_insert_with(|| AdamState::new(tensor));
-        adam_step(tensor, grad, state, rate, &AdamOptions::default());
+            .or_insert_with(|| match parameter.rows() {
+                Rows::Frames => AdamState::per_row(tensor),
+                Rows::Gaussians | Rows::DynamicGaussians | Rows::Whole => AdamState::new(tensor),
+            });
+        adam_step(tensor, grad, state, step);
     }
 
     /// Forgets a parameter's moments; its step count stays.

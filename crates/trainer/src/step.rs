@@ -1,8 +1,8 @@
 //! One iteration: the loss of a view, backward, Adam, density control.
 
 use crate::TrainError;
-use crate::adam::{NonFiniteGradient, finite_gradient};
-use crate::blur::Shown;
+use crate::adam::{AdamStep, NonFiniteGradient, finite_gradient};
+use crate::metrics::psnr_of;
 use crate::model::Model;
 use crate::objective::objective;
 use crate::optimizer::learning_rate;
@@ -62,7 +62,7 @@ impl Trainer {
             .run
             .show_view(model, it, &view, None, screen_grad.clone())?;
         let target = shown.target(&view);
-        let psnr = trace_span!("psnr").in_scope(|| current_psnr(&shown, &target, &view));
+        let psnr = trace_span!("psnr").in_scope(|| psnr_of(&shown.seen, &target, view.valid));
         let terms = trace_span!("losses")
             .in_scope(|| objective(plan, &model.world, &view, &shown, &shown, target));
 
@@ -89,7 +89,7 @@ impl Trainer {
         if let Some(trace) = shown.trace {
             state.model.blur.learned(frame, trace);
         }
-        self.step_parameters(it, gradients);
+        self.step_parameters(it, frame, gradients);
         self.change_gaussians(it);
 
         let progress = &mut self.run.state.progress;
@@ -109,13 +109,17 @@ impl Trainer {
         })
     }
 
-    fn step_parameters(&mut self, it: usize, gradients: Vec<Option<Tensor<2>>>) {
+    fn step_parameters(&mut self, it: usize, frame: usize, gradients: Vec<Option<Tensor<2>>>) {
         let _span = trace_span!("adam").entered();
         let Run { plan, state, .. } = &mut self.run;
         for ((parameter, tensor), grad) in state.model.parameters_mut().into_iter().zip(gradients) {
             if let Some(grad) = grad {
                 let rate = learning_rate(plan, parameter.group, tensor.dims()[1], it);
-                state.optimizer.step(&parameter, tensor, grad, &rate);
+                let step = AdamStep {
+                    rate: &rate,
+                    drawn: &[frame],
+                };
+                state.optimizer.step(&parameter, tensor, grad, &step);
             }
         }
     }
@@ -173,19 +177,4 @@ fn take_gradients(
         grad.transpose().map_err(|problem| (parameter, problem))
     };
     model.parameters().into_iter().map(take).collect()
-}
-
-/// PSNR in dB of what the camera saw against its target, over the pixels that have one.
-fn current_psnr(shown: &Shown, target: &Tensor<3>, view: &ViewRef<'_>) -> f64 {
-    let (a, b) = (
-        host(shown.seen.clone().detach()),
-        host(target.clone().detach()),
-    );
-    let squares = a.iter().zip(&b).map(|(a, b)| f64::from(a - b).powi(2));
-    // Pixels without a target took the picture itself: their differences are zero.
-    let count = view
-        .valid
-        .map_or(a.len(), |valid| 3 * valid.iter().filter(|&&v| v).count());
-    let error = squares.sum::<f64>() / count.max(1) as f64;
-    -10.0 * error.max(1e-12).log10()
 }

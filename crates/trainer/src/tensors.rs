@@ -41,3 +41,12 @@ pub(crate) fn pose_tensor<const D: usize>(
         (&like.device(), like.dtype()),
     )
 }
+
+/// `tensor` as a new leaf that keeps its gradient if `autodiff`, else as it is.
+pub(crate) fn leaf(tensor: Tensor<2>, autodiff: bool) -> Tensor<2> {
+    if autodiff {
+        tensor.autodiff().require_grad()
+    } else {
+        tensor
+    }
+}

@@ -3,7 +3,7 @@
 use super::{Case, Results, scaled};
 use crate::{noise, tensor, unit_noise, values};
 use burn::tensor::{Device, Tensor};
-use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
+use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 use trainer::losses::{depth_loss, mask_loss, photometric};
 
 /// A loss of one rank-2 input.
@@ -59,10 +59,10 @@ fn adam_case(name: &str, gradient: f64) -> Case {
         let row = |v: &[f64]| tensor::<2>(v, [1, 4], &Device::flex(), dtype);
         let mut parameter = row(&inputs[0]);
         let mut state = AdamState::new(&parameter);
-        let options = AdamOptions::default();
+        let rate = &LearningRate::Uniform(0.01);
         for _ in 0..5 {
-            let rate = LearningRate::Uniform(0.01);
-            adam_step(&mut parameter, row(&inputs[1]), &mut state, &rate, &options);
+            let step = AdamStep { rate, drawn: &[] };
+            adam_step(&mut parameter, row(&inputs[1]), &mut state, &step);
         }
         Results {
             forward: vec![("parameter", values(parameter))],

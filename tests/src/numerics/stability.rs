@@ -2,10 +2,11 @@
 
 use crate::{noise, tensor, values};
 use burn::tensor::{DType, Device, Tensor, activation::softmax};
-use host::{Real, Vectors};
+use host::Vectors;
 use motion_bases::{gram_schmidt, means_acceleration};
 use pulp::{Arch, Simd, WithSimd};
-use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
+use splat_core::cpu::Real;
+use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 
 /// One measure and the f32 errors without and with it; NaN where nothing usable comes out.
 #[derive(Clone, Debug)]
@@ -241,12 +242,12 @@ fn overflowing_square() -> Measure {
         let (m_hat, v_hat) = (m / (1.0 - 0.9_f64.powi(t)), v / (1.0 - 0.999_f64.powi(t)));
         plain += RATE * m_hat / (v_hat.sqrt() + 1e-15);
     }
-    let (device, rate) = (Device::flex(), LearningRate::Uniform(RATE));
+    let (device, rate) = (Device::flex(), &LearningRate::Uniform(RATE));
     let mut p = Tensor::<2>::zeros([1, 1], (&device, DType::F32));
     let mut state = AdamState::new(&p);
     for step in 0..STEPS {
         let g = tensor(&[gradient(step)], [1, 1], &device, DType::F32);
-        adam_step(&mut p, g, &mut state, &rate, &AdamOptions::default());
+        adam_step(&mut p, g, &mut state, &AdamStep { rate, drawn: &[] });
     }
     Measure {
         place: "Adam",

@@ -1,6 +1,6 @@
 //! Edits of the set of rows, and how parameters follow them.
 
-use crate::real::leaf;
+use crate::tensors::leaf;
 use burn::tensor::{Int, Tensor, TensorData};
 
 /// Where a row of the edited set comes from.

@@ -5,8 +5,7 @@
 //! The window is symmetric, so the gradient of Σ SSIM by a is G * ∂m + 2 a (G * ∂p) + b (G * ∂r), with ∂ the partial
 //! derivatives of one pixel's SSIM by its statistics.
 
-use crate::real::{Real, constant_like, values, vectorized, with_real};
-use burn::tensor::Tensor;
+use host::{Real, vectorized};
 use rayon::prelude::*;
 
 /// Pixels between the window's centre and its edge.
@@ -19,50 +18,28 @@ const C2: f64 = 9e-4;
 /// What is kept of every pixel and channel: SSIM and its derivatives by m, p and r.
 const LANES: usize = 4;
 
-/// Mean SSIM of two pictures [H, W, 3]: 11x11 Gaussian window of sigma 1.5, zeros outside the picture, C1 = 0.01²,
-/// C2 = 0.03², mean over pixels and channels. Shape `[1]`.
-///
-/// Differentiable in `a`; `b` is data.
-///
-/// # Panics
-/// Panics if the shapes differ, if there are not three channels, or if the dtypes differ.
-#[must_use]
-pub fn ssim(a: Tensor<3>, b: &Tensor<3>) -> Tensor<1> {
-    l1_and_ssim(a, b, [0.0, 1.0])
-}
-
-/// Mean absolute difference and mean SSIM of two pictures, each times its weight. The gradient is computed together with the
-/// value, and only if `a` is tracked.
-pub(crate) fn l1_and_ssim(a: Tensor<3>, b: &Tensor<3>, weights: [f64; 2]) -> Tensor<1> {
-    let [height, width, channels] = a.dims();
-    assert_eq!(
-        b.dims(),
-        [height, width, channels],
-        "two pictures of one size"
-    );
-    assert_eq!(channels, CHANNELS, "pictures have three channels");
-    let _span = tracing::trace_span!("image loss").entered();
-    let count = (height * width * channels) as f64;
-    let [l1_weight, ssim_weight] = weights;
-    with_real!(a.dtype(), T => {
-        let (a_values, b_values) = (values::<T, 3>(a.clone()), values::<T, 3>(b.clone()));
-        let pixels = lanes(&a_values, &b_values, width, height);
-        let mut value = ssim_weight * sum_first_lane(&pixels, width) / count;
-        if l1_weight != 0.0 {
-            value += l1_weight * sum_of_differences(&a_values, &b_values, width) / count;
-        }
-        let known = a.clone().inner();
-        if !a.is_tracked() {
-            return Tensor::full([1], value, (&a.device(), a.dtype()));
-        }
-        let scales = [l1_weight, ssim_weight].map(|w| T::of(w / count));
-        let grad = gradient(&a_values, &b_values, &pixels, width, height, scales);
-        // Linear in `a` around its present value: this value, and this gradient.
-        ((a - known.clone()) * constant_like(grad, &known)).sum() + value
-    })
-}
-
+/// Samples of a pixel.
 const CHANNELS: usize = 3;
+
+/// Mean absolute difference and mean SSIM of two pictures [H, W, 3], each times its weight; and the gradient by `a`, if
+/// wanted.
+pub(crate) fn image_loss<T: Real>(
+    a: &[T],
+    b: &[T],
+    [height, width]: [usize; 2],
+    [l1_weight, ssim_weight]: [f64; 2],
+    wanted: bool,
+) -> (f64, Option<Vec<T>>) {
+    let count = (height * width * CHANNELS) as f64;
+    let pixels = lanes(a, b, width, height);
+    let mut value = ssim_weight * sum_first_lane(&pixels, width) / count;
+    if l1_weight != 0.0 {
+        value += l1_weight * sum_of_differences(a, b, width) / count;
+    }
+    let scales = [l1_weight, ssim_weight].map(|w| T::of(w / count));
+    let gradient = wanted.then(|| gradient(a, b, &pixels, width, height, scales));
+    (value, gradient)
+}
 
 /// SSIM of every pixel and channel, [H, W, 3], with zeros outside the picture.
 pub(crate) fn ssim_map<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
@@ -96,7 +73,7 @@ fn rows_under(y: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
 #[inline(always)]
 fn along_row<T: Real>(padded: &[T], weights: &[T; TAPS], out: &mut [T]) {
     let length = out.len();
-    out.fill(T::default());
+    out.fill(T::ZERO);
     for (tap, weight) in weights.iter().enumerate() {
         for (o, v) in out.iter_mut().zip(&padded[tap * CHANNELS..][..length]) {
             *o += *weight * *v;
@@ -109,24 +86,19 @@ fn lanes<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -> Vec<T> {
     let row = width * CHANNELS;
     let pad = WINDOW_EDGE * CHANNELS;
     let weights = window::<T>();
-    let mut out = vec![T::default(); height * LANES * row];
+    let mut out = vec![T::ZERO; height * LANES * row];
     if row == 0 {
         return out;
     }
     out.par_chunks_exact_mut(LANES * row)
         .enumerate()
         .for_each_init(
-            || {
-                (
-                    vec![T::default(); 5 * (row + 2 * pad)],
-                    vec![T::default(); 5 * row],
-                )
-            },
+            || (vec![T::ZERO; 5 * (row + 2 * pad)], vec![T::ZERO; 5 * row]),
             |(padded, statistics), (y, out)| {
                 vectorized(
                     #[inline(always)]
                     || {
-                        padded.fill(T::default());
+                        padded.fill(T::ZERO);
                         {
                             let mut parts = padded.chunks_exact_mut(row + 2 * pad);
                             let [m, n, p, q, r] = std::array::from_fn(|_| {
@@ -191,7 +163,7 @@ impl<T: Real> Similarity<T> {
     #[inline(always)]
     fn new(m: T, n: T, p: T, q: T, r: T) -> Self {
         let two = T::of(2.0);
-        let positive = |v: T| if v > T::default() { v } else { T::default() };
+        let positive = |v: T| if v > T::ZERO { v } else { T::ZERO };
         // Variances are not negative, but rounding can make them so where a picture is bright and flat.
         let variances = positive(p - m * m) + positive(q - n * n);
         let means = two * m * n + T::of(C1);
@@ -222,22 +194,17 @@ fn gradient<T: Real>(
     let row = width * CHANNELS;
     let pad = WINDOW_EDGE * CHANNELS;
     let weights = window::<T>();
-    let mut out = vec![T::default(); a.len()];
+    let mut out = vec![T::ZERO; a.len()];
     if row == 0 {
         return out;
     }
     out.par_chunks_exact_mut(row).enumerate().for_each_init(
-        || {
-            (
-                vec![T::default(); 3 * (row + 2 * pad)],
-                vec![T::default(); 3 * row],
-            )
-        },
+        || (vec![T::ZERO; 3 * (row + 2 * pad)], vec![T::ZERO; 3 * row]),
         |(padded, blurred), (y, out)| {
             vectorized(
                 #[inline(always)]
                 || {
-                    padded.fill(T::default());
+                    padded.fill(T::ZERO);
                     for (tap, source) in rows_under(y, height) {
                         let partials = &pixels[source * LANES * row..][row..LANES * row];
                         for (padded, partial) in padded
@@ -261,12 +228,12 @@ fn gradient<T: Real>(
                     for k in 0..row {
                         let ssim = dm[k] + T::of(2.0) * a[k] * dp[k] + b[k] * dr[k];
                         let difference = a[k] - b[k];
-                        let sign = if difference > T::default() {
+                        let sign = if difference > T::ZERO {
                             l1_scale
-                        } else if difference < T::default() {
+                        } else if difference < T::ZERO {
                             -l1_scale
                         } else {
-                            T::default()
+                            T::ZERO
                         };
                         out[k] = ssim_scale * ssim + sign;
                     }
@@ -282,7 +249,7 @@ fn sum_first_lane<T: Real>(pixels: &[T], width: usize) -> f64 {
     let row = width * CHANNELS;
     let rows: Vec<f64> = pixels
         .par_chunks_exact((LANES * row).max(1))
-        .map(|lanes| lanes[..row].iter().map(|v| v.wide()).sum())
+        .map(|lanes| lanes[..row].iter().map(|v| v.to_f64()).sum())
         .collect();
     rows.into_iter().sum()
 }
@@ -293,12 +260,7 @@ fn sum_of_differences<T: Real>(a: &[T], b: &[T], width: usize) -> f64 {
     let rows: Vec<f64> = a
         .par_chunks_exact(row)
         .zip(b.par_chunks_exact(row))
-        .map(|(a, b)| {
-            a.iter()
-                .zip(b)
-                .map(|(a, b)| (*a - *b).magnitude().wide())
-                .sum()
-        })
+        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| (*a - *b).abs().to_f64()).sum())
         .collect();
     rows.into_iter().sum()
 }

@@ -1,48 +1,22 @@
-//! The dynamic mask's loss.
+//! Which pixels the dynamic mask's loss keeps.
 
-use crate::real::{constant_like, wide_values, with_real};
-use burn::tensor::Tensor;
+use host::Real;
 
 /// The share of pixels, inside and outside the mask each, that the trimmed loss keeps at least.
 const KEPT: f64 = 0.98;
 
-/// The band's width in pixels for a picture of this width: 2 at 256, in proportion, at least 1.
-#[must_use]
-pub fn mask_band(width: usize) -> usize {
-    ((width + 64) / 128).max(1)
-}
-
-/// Trimmed L1 between the rendered dynamic mask and the given one, both [H, W].
-///
-/// Pixels within `band` pixels (in rows and columns) of the edge between inside (`target` above 0.5) and outside
-/// carry no loss: blurred movers spill over it. Of the others the largest errors are left out, those above the 98 % quantile,
-/// inside and outside **each by itself**: a mover under 2 % of the picture would otherwise have no loss.
-/// Pixels that are not `valid` (the holes of an unseen view) carry none either.
-/// The result is the mean over what is kept; zero where nothing is. Shape `[1]`.
-///
-/// # Panics
-/// Panics if `target` or `valid` does not have H W entries.
-#[must_use]
-pub fn mask_loss(
-    rendered: Tensor<2>,
+/// The weight of every pixel [H, W] in a trimmed mean of the errors: one over the number of those kept, or zero.
+pub(crate) fn mask_weights<T: Real>(
+    rendered: &[T],
     target: &[f32],
     valid: Option<&[bool]>,
+    [height, width]: [usize; 2],
     band: usize,
-) -> Tensor<1> {
-    let [height, width] = rendered.dims();
-    assert_eq!(
-        target.len(),
-        height * width,
-        "one target per rendered pixel"
-    );
-    assert!(
-        valid.is_none_or(|valid| valid.len() == target.len()),
-        "one validity per rendered pixel"
-    );
-    let errors: Vec<f64> = wide_values(&rendered)
+) -> Vec<T> {
+    let errors: Vec<f64> = rendered
         .iter()
         .zip(target)
-        .map(|(r, t)| (r - f64::from(*t)).abs())
+        .map(|(r, t)| (r.to_f64() - f64::from(*t)).abs())
         .collect();
     let near = sides_within(target, width, height, band);
     let mut kept = vec![false; errors.len()];
@@ -57,15 +31,10 @@ pub fn mask_loss(
         }
     }
     let count = kept.iter().filter(|kept| **kept).count().max(1);
-    let known = rendered.clone().inner();
-    let (target, weight) = with_real!(known.dtype(), T => (
-        constant_like(target.iter().map(|t| *t as T).collect(), &known),
-        constant_like(
-            kept.iter().map(|kept| if *kept { 1.0 / count as T } else { 0.0 }).collect(),
-            &known,
-        ),
-    ));
-    ((rendered - target).abs() * weight).sum()
+    let weight = T::ONE / T::of(count as f64);
+    kept.iter()
+        .map(|kept| if *kept { weight } else { T::ZERO })
+        .collect()
 }
 
 const INSIDE: u8 = 1;
@@ -106,15 +75,6 @@ fn quantile(mut values: Vec<f64>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_band_grows_with_the_picture() {
-        assert_eq!(
-            [32, 128, 256, 512].map(mask_band),
-            [1, 1, 2, 4],
-            "two pixels at 256"
-        );
-    }
 
     #[test]
     fn both_sides_are_near_within_the_band_only() {

@@ -1,13 +1,12 @@
-//! The depth loss: L1 on disparity, after the estimator's scale and shift are taken out.
+//! What a rendered depth is compared with: the given one, after the estimator's scale and shift are taken out.
 
-use crate::real::{constant_like, wide_values, with_real};
-use burn::tensor::Tensor;
+use host::Real;
 
 /// Pixels with a rendered alpha up to this have no depth worth comparing.
 const OPAQUE: f64 = 0.5;
 
 /// Depths below this part of the scene size count as this much before they are inverted.
-const NEAREST: f64 = 0.05;
+pub(crate) const NEAREST: f64 = 0.05;
 
 /// Below this many pixels no scale and shift are fitted.
 const FEWEST: usize = 32;
@@ -93,31 +92,18 @@ pub fn fit_disparity(given: &[f64], wanted: &[f64]) -> DisparityFit {
     fit
 }
 
-/// L1 between rendered and given disparity, times the scene size S; shape `[1]`.
-///
-/// `depth` [H, W] is Σ z α T and `alpha` [H, W] is Σ α T of the render, `given` [H, W] the depth of the input (scene units), zero,
-/// negative or infinite where it is missing. The rendered depth is depth / alpha with alpha detached, so the gradient
-/// goes to `depth` alone. Only pixels with alpha above 0.5 and a given depth count; depths have a floor of
-/// 0.05 S. The given disparities are first brought to the rendered ones by [`fit_disparity`]. Zero where no pixel counts.
-///
-/// # Panics
-/// Panics if the sizes do not agree.
-#[must_use]
-pub fn depth_loss(
-    depth: Tensor<2>,
-    alpha: &Tensor<2>,
+/// What a rendered `depth` and `alpha` [H, W] are compared with: 1 / alpha, the disparity wanted, and the weight of every pixel,
+/// zero where one does not count.
+pub(crate) fn depth_targets<T: Real>(
+    depth: &[T],
+    alpha: &[T],
     given: &[f32],
     scene_size: f64,
-) -> Tensor<1> {
-    assert_eq!(depth.dims(), alpha.dims(), "depth and alpha of one render");
-    let [height, width] = depth.dims();
-    assert_eq!(given.len(), height * width, "one given depth per pixel");
+) -> [Vec<T>; 3] {
     let nearest = NEAREST * scene_size;
     let disparity = |depth: f64| scene_size / depth.max(nearest);
-
-    let (depths, alphas) = (wide_values(&depth), wide_values(alpha));
     let counted: Vec<usize> = (0..given.len())
-        .filter(|k| alphas[*k] > OPAQUE && given[*k] > 0.0 && given[*k].is_finite())
+        .filter(|k| alpha[*k].to_f64() > OPAQUE && given[*k] > 0.0 && given[*k].is_finite())
         .collect();
     let known: Vec<f64> = counted
         .iter()
@@ -125,24 +111,17 @@ pub fn depth_loss(
         .collect();
     let rendered: Vec<f64> = counted
         .iter()
-        .map(|k| disparity(depths[*k] / alphas[*k]))
+        .map(|k| disparity(depth[*k].to_f64() / alpha[*k].to_f64()))
         .collect();
     let fit = fit_disparity(&known, &rendered);
 
-    let pixels = given.len();
-    let (mut per_alpha, mut wanted, mut weight) =
-        (vec![0.0; pixels], vec![0.0; pixels], vec![0.0; pixels]);
+    let mut targets = [(); 3].map(|()| vec![T::ZERO; given.len()]);
     for (k, known) in counted.iter().zip(&known) {
-        per_alpha[*k] = 1.0 / alphas[*k];
-        wanted[*k] = fit.scale * known + fit.shift;
-        weight[*k] = 1.0 / counted.len() as f64;
+        targets[0][*k] = T::of(1.0 / alpha[*k].to_f64());
+        targets[1][*k] = T::of(fit.scale * known + fit.shift);
+        targets[2][*k] = T::of(1.0 / counted.len() as f64);
     }
-    let like = depth.clone().inner();
-    let [per_alpha, wanted, weight] = with_real!(like.dtype(), T => [per_alpha, wanted, weight]
-        .map(|values| constant_like(values.into_iter().map(|v| v as T).collect(), &like)));
-    // Pixels that do not count get the floor's disparity and a weight of zero.
-    let rendered = (depth * per_alpha).clamp_min(nearest).recip() * scene_size;
-    ((rendered - wanted).abs() * weight).sum()
+    targets
 }
 
 #[cfg(test)]
