@@ -45,13 +45,9 @@ pub(crate) fn parse_npy(data: &[u8], path: &Path, what: &str) -> Result<Array, I
     }
     if needed.is_none_or(|needed| needed > rest.len()) {
         let have = rest.len();
-        return Err(IoError::truncated(
-            path,
-            format!(
-                "{what} promises {:?} of {kind}, {have} bytes are there",
-                header.shape()
-            ),
-        ));
+        let shape = header.shape();
+        let what = format!("{what} promises {shape:?} of {kind}, {have} bytes are there");
+        return Err(IoError::truncated(path, what));
     }
 
     let (order, strides) = (header.order(), header.strides().to_vec());
