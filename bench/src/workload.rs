@@ -1,7 +1,7 @@
 //! What is timed: scenes and trainers of a given size, the same in every run.
 
 use glam::{DAffine3, DVec3};
-use io::{Frame, Image, Scene, SceneFormat, SparsePoint, View};
+use io::{Frame, Image, Scene, SparsePoint, View};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
 use splat_core::cpu::SplatSlices;
@@ -115,7 +115,7 @@ impl Workload {
         Scene {
             root: std::env::temp_dir(),
             name: "noise".to_owned(),
-            format: SceneFormat::ShapeOfMotion,
+            layout: "made here",
             downscale: 1,
             frames: (0..FRAMES).map(frame).collect(),
             test: Vec::new(),

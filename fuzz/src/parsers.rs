@@ -12,8 +12,9 @@ use tempfile::TempDir;
 pub type Target = fn(&Path, &[u8]) -> Result<(), IoError>;
 
 /// Every target by its name.
-pub const TARGETS: [(&str, Target); 6] = [
+pub const TARGETS: [(&str, Target); 7] = [
     ("npy", npy),
+    ("picture", picture),
     ("colmap_binary", colmap_binary),
     ("colmap_text", colmap_text),
     ("transforms", transforms),
@@ -25,6 +26,11 @@ pub const TARGETS: [(&str, Target); 6] = [
 pub fn npy(scenes: &Path, bytes: &[u8]) -> Result<(), IoError> {
     let file = "flow3d_preprocessed/aligned_depth_anything_colmap/0.npy";
     open(&scenes.join("binary"), file, bytes)
+}
+
+/// A frame's picture; what is inside decides on the format, not the name.
+pub fn picture(scenes: &Path, bytes: &[u8]) -> Result<(), IoError> {
+    open(&scenes.join("binary"), "images/0.png", bytes)
 }
 
 /// A file of a binary COLMAP model; the first byte says which.

@@ -2,7 +2,7 @@
 //! during the exposure.
 
 use glam::{DAffine3, DVec2, DVec3};
-use io::{Frame, Image, Map, QueryTracks, Scene, SceneFormat, TrackSample, Tracks, View};
+use io::{Frame, Image, Map, QueryTracks, Scene, TrackSample, Tracks, View};
 use splat_core::Camera;
 use trainer::Settings;
 
@@ -127,7 +127,7 @@ pub fn scene() -> Scene {
     Scene {
         root: std::env::temp_dir(),
         name: "tiny".to_owned(),
-        format: SceneFormat::ShapeOfMotion,
+        layout: "made here",
         downscale: 1,
         frames: frames.collect(),
         test: (0..FRAMES).map(|i| view(i, 0.0)).collect(),

@@ -1,5 +1,5 @@
 //! The fuzz targets on their corpus, on stable: what is called `good-*` is read, what is called `bad-*`
-//! gives an error that names the file, and nothing panics.
+//! gives an error that names the file, and nothing panics, not even on good files with changed bytes.
 
 #[path = "../../fuzz/src/checkpoint.rs"]
 pub mod checkpoint;
@@ -10,6 +10,8 @@ use std::collections::BTreeSet;
 use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
+
+use limpid_tests::property;
 
 /// The entries of a folder below fuzz/, in order.
 fn entries(folder: &str) -> BTreeSet<PathBuf> {
@@ -67,4 +69,26 @@ fn the_parsers_corpus_holds_no_surprise() {
 #[test]
 fn the_checkpoints_corpus_holds_no_surprise() {
     replay("checkpoint", checkpoint::checkpoint);
+}
+
+#[test]
+fn changed_bytes_never_panic() {
+    for (target, run) in parsers::TARGETS {
+        let good: Vec<Vec<u8>> = entries(&format!("corpus/{target}"))
+            .iter()
+            .filter(|path| stem(path).starts_with("good-"))
+            .map(|path| fs::read(path).expect("a file of the corpus"))
+            .collect();
+        let scenes = parsers::scenes();
+        property(target, 200, |u| {
+            let mut bytes = u.choose(&good)?.clone();
+            for _ in 0..u.int_in_range(1..=8)? {
+                let at = u.choose_index(bytes.len())?;
+                bytes[at] = u.arbitrary()?;
+            }
+            // An error or a scene that is sound: the targets look at what they open.
+            run(scenes.path(), &bytes).ok();
+            Ok(())
+        });
+    }
 }

@@ -3,7 +3,10 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::{DynamicImage, ImageDecoder as _, ImageFormat, ImageReader};
+use image::codecs::png::PngEncoder;
+use image::{
+    DynamicImage, ExtendedColorType, ImageDecoder as _, ImageEncoder as _, ImageFormat, ImageReader,
+};
 
 use crate::bytes::{check_regular, read_file};
 use crate::{IoError, write_atomic};
@@ -44,10 +47,8 @@ fn decode(path: &Path) -> Result<DynamicImage, IoError> {
         .map_err(|e| IoError::access(path, e))?;
     let format = reader.format();
     if !is_whole(&data, format) {
-        return Err(IoError::truncated(
-            path,
-            "the end of the picture is missing",
-        ));
+        let what = "the end of the picture is missing";
+        return Err(IoError::truncated(path, what));
     }
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(8 * MAX_PIXELS);
@@ -151,15 +152,8 @@ fn to_u8(value: f32) -> u8 {
 /// # Errors
 /// [`IoError::Invalid`] when `pixels` is not [H, W, 3] with at least one pixel; [`IoError::Access`].
 pub fn write_png(path: &Path, image: &Image) -> Result<(), IoError> {
-    let (width, height) = (image.width, image.height);
-    write_pixels(
-        path,
-        width,
-        height,
-        &image.pixels,
-        image::ExtendedColorType::Rgb8,
-        3,
-    )
+    let size = (image.width, image.height);
+    write_pixels(path, size, &image.pixels, ExtendedColorType::Rgb8)
 }
 
 /// Writes an 8-bit grey PNG of values in [0, 1], rounded and clamped, atomically (see [`write_atomic`]).
@@ -167,48 +161,30 @@ pub fn write_png(path: &Path, image: &Image) -> Result<(), IoError> {
 /// # Errors
 /// [`IoError::Invalid`] when `values` is not [H, W] with at least one pixel; [`IoError::Access`].
 pub fn write_map_png(path: &Path, map: &Map) -> Result<(), IoError> {
-    let (width, height) = (map.width, map.height);
-    write_pixels(
-        path,
-        width,
-        height,
-        &map.values,
-        image::ExtendedColorType::L8,
-        1,
-    )
+    let size = (map.width, map.height);
+    write_pixels(path, size, &map.values, ExtendedColorType::L8)
 }
 
 fn write_pixels(
     path: &Path,
-    width: usize,
-    height: usize,
+    (width, height): (usize, usize),
     values: &[f32],
-    color: image::ExtendedColorType,
-    channels: usize,
+    color: ExtendedColorType,
 ) -> Result<(), IoError> {
+    let channels = usize::from(color.channel_count());
     let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
         return Err(IoError::invalid(path, "the picture is too large for a PNG"));
     };
     if width == 0 || height == 0 || values.len() != width * height * channels {
-        return Err(IoError::invalid(
-            path,
-            format!(
-                "{} values are no picture [{height}, {width}, {channels}]",
-                values.len()
-            ),
-        ));
+        let found = values.len();
+        let what = format!("{found} values are no picture [{height}, {width}, {channels}]");
+        return Err(IoError::invalid(path, what));
     }
     let bytes: Vec<u8> = values.iter().map(|&v| to_u8(v)).collect();
     let mut png = Vec::new();
-    image::write_buffer_with_format(
-        &mut Cursor::new(&mut png),
-        &bytes,
-        w,
-        h,
-        color,
-        ImageFormat::Png,
-    )
-    .map_err(|e| IoError::invalid(path, format!("cannot be written as PNG: {e}")))?;
+    PngEncoder::new(&mut png)
+        .write_image(&bytes, w, h, color)
+        .map_err(|e| IoError::invalid(path, format!("cannot be written as PNG: {e}")))?;
     write_atomic(path, |out| out.write_all(&png))
 }
 

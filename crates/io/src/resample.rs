@@ -1,12 +1,15 @@
 //! Other sizes of pictures, maps and cameras.
 
-use splat_core::Camera;
+use splat_core::{Camera, CameraModel};
 
 use crate::{Image, Map};
 
 /// Averages F x F blocks of a picture. What does not fill a block at the right and at the bottom is
-/// cropped. `factor` is at least 1 and at most the picture's smaller side.
-pub(crate) fn shrink_image(image: &Image, factor: usize) -> Image {
+/// cropped. `factor` is at least 1, which changes nothing, and at most the picture's smaller side.
+pub(crate) fn shrink_image(image: Image, factor: usize) -> Image {
+    if factor == 1 {
+        return image;
+    }
     let (width, height) = (image.width / factor, image.height / factor);
     let mut pixels = Vec::with_capacity(width * height * 3);
     for y in 0..height {
@@ -29,7 +32,7 @@ pub(crate) fn shrink_image(image: &Image, factor: usize) -> Image {
 }
 
 /// Averages F x F blocks of a map, as [`shrink_image`] does.
-pub(crate) fn shrink_map(map: &Map, factor: usize) -> Map {
+pub(crate) fn shrink_map(map: Map, factor: usize) -> Map {
     shrink(map, factor, |values| {
         let sum: f64 = values.map(f64::from).sum();
         (sum / (factor * factor) as f64) as f32
@@ -39,7 +42,7 @@ pub(crate) fn shrink_map(map: &Map, factor: usize) -> Map {
 /// Shrinks a z-depth map (0 = missing) by the mean **disparity** of each block's valid pixels; a block
 /// without any is missing. Disparity, because it is what an estimator smooths at edges, and because a
 /// block across an edge then leans towards the nearer surface, which is the one that is seen.
-pub(crate) fn shrink_depth(depth: &Map, factor: usize) -> Map {
+pub(crate) fn shrink_depth(depth: Map, factor: usize) -> Map {
     shrink(depth, factor, |values| {
         let (mut sum, mut valid) = (0.0f64, 0);
         for z in values.filter(|&z| z > 0.0) {
@@ -54,7 +57,10 @@ pub(crate) fn shrink_depth(depth: &Map, factor: usize) -> Map {
     })
 }
 
-fn shrink(map: &Map, factor: usize, mean: impl Fn(&mut dyn Iterator<Item = f32>) -> f32) -> Map {
+fn shrink(map: Map, factor: usize, mean: impl Fn(&mut dyn Iterator<Item = f32>) -> f32) -> Map {
+    if factor == 1 {
+        return map;
+    }
     let (width, height) = (map.width / factor, map.height / factor);
     let mut values = Vec::with_capacity(width * height);
     for y in 0..height {
@@ -96,32 +102,30 @@ pub(crate) fn resize_nearest(map: &Map, width: usize, height: usize) -> Map {
 
 /// The camera of a picture that was shrunk by [`shrink_image`].
 pub(crate) fn shrink_camera(camera: &Camera, factor: usize) -> Camera {
-    let f = factor as f64;
-    Camera::pinhole(
-        camera.width / factor,
-        camera.height / factor,
-        camera.fx / f,
-        camera.fy / f,
-        camera.cx / f,
-        camera.cy / f,
-    )
-    .with_near(camera.near)
+    let size = (camera.width / factor, camera.height / factor);
+    scaled(camera, size, |x| x / factor as f64, |y| y / factor as f64)
 }
 
 /// The camera of the same picture at another size.
 pub(crate) fn resize_camera(camera: &Camera, width: usize, height: usize) -> Camera {
     let sx = width as f64 / camera.width as f64;
     let sy = height as f64 / camera.height as f64;
-    // With pixel centres at + 0.5 a resize is a plain scaling of all pixel coordinates.
-    Camera::pinhole(
-        width,
-        height,
-        camera.fx * sx,
-        camera.fy * sy,
-        camera.cx * sx,
-        camera.cy * sy,
-    )
-    .with_near(camera.near)
+    scaled(camera, (width, height), |x| x * sx, |y| y * sy)
+}
+
+/// With pixel centres at + 0.5 a resize is a plain scaling of all pixel coordinates.
+fn scaled(
+    camera: &Camera,
+    (width, height): (usize, usize),
+    x: impl Fn(f64) -> f64,
+    y: impl Fn(f64) -> f64,
+) -> Camera {
+    match camera.model {
+        CameraModel::Pinhole => {
+            let (fx, fy, cx, cy) = (x(camera.fx), y(camera.fy), x(camera.cx), y(camera.cy));
+            Camera::pinhole(width, height, fx, fy, cx, cy).with_near(camera.near)
+        }
+    }
 }
 
 #[cfg(test)]
@@ -145,7 +149,7 @@ mod tests {
                 image.pixels.extend([v, 0.5 * v, 1.0 - v]);
             }
         }
-        let small = shrink_image(&image, factor);
+        let small = shrink_image(image, factor);
         assert_eq!(
             (small.width, small.height),
             (3, 2),
@@ -170,7 +174,7 @@ mod tests {
             height: 2,
             values: vec![2.0, 0.0, 0.0, 0.0, 4.0, 0.0, 0.0, 0.0],
         };
-        let small = shrink_depth(&depth, 2);
+        let small = shrink_depth(depth, 2);
         let mean = 1.0 / ((1.0 / 2.0 + 1.0 / 4.0) / 2.0);
         assert_eq!(small.values, [mean, 0.0]);
     }

@@ -62,10 +62,6 @@ impl TrackFiles {
         }
     }
 
-    pub(crate) fn exist(&self) -> Result<bool, IoError> {
-        Ok(self.archive.is_file() || !list(&self.folder, &["npy"])?.files.is_empty())
-    }
-
     /// Reads `{query}_{target}.npy` for every ordered pair of `stems`, from the folder or, where that
     /// has none, from the archive. None when there are no files, or no tracks in them.
     pub(crate) fn read(

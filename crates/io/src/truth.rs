@@ -7,7 +7,7 @@ use crate::picture::{read_image, read_map};
 use crate::resample::{shrink_image, shrink_map};
 use crate::{Image, IoError, Map, Scene, View};
 
-/// The truth of a scene, at the scene's size. Parts that are not there are None.
+/// The truth of a scene, each picture at its view's size. Parts that are not there are None.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Truth {
     /// `truth/images_sharp`: the training frames without blur, one per frame.
@@ -32,11 +32,11 @@ impl Scene {
 
         let sharp = self.part(&truth.join("images_sharp"), &training, |path| {
             let image = read_image(path)?;
-            Ok(((image.width, image.height), shrink_image(&image, factor)))
+            Ok(((image.width, image.height), shrink_image(image, factor)))
         })?;
         let map = |path: &Path| -> Result<((usize, usize), Map), IoError> {
             let map = read_map(path)?;
-            Ok(((map.width, map.height), shrink_map(&map, factor)))
+            Ok(((map.width, map.height), shrink_map(map, factor)))
         };
         Ok(Truth {
             sharp,

@@ -4,8 +4,11 @@ use glam::{DAffine3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// How a camera projects a point; one variant for now.
+///
+/// Exhaustive on purpose: whatever computes with intrinsics matches the model, so that a second variant
+/// stops the build in each of these places. A wildcard arm, which `#[non_exhaustive]` asks other crates
+/// for, would take the new camera for a pinhole and say nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
 pub enum CameraModel {
     /// Pinhole without distortion.
     Pinhole,
@@ -67,20 +70,24 @@ impl Camera {
     /// Pixel coordinates of a point in camera space. Meaningful only for z > 0.
     #[must_use]
     pub fn project(&self, point_in_cam: DVec3) -> DVec2 {
-        DVec2::new(
-            self.fx * point_in_cam.x / point_in_cam.z + self.cx,
-            self.fy * point_in_cam.y / point_in_cam.z + self.cy,
-        )
+        match self.model {
+            CameraModel::Pinhole => DVec2::new(
+                self.fx * point_in_cam.x / point_in_cam.z + self.cx,
+                self.fy * point_in_cam.y / point_in_cam.z + self.cy,
+            ),
+        }
     }
 
     /// The point in camera space that is seen at `pixel` (px) at a z-depth (scene units).
     #[must_use]
     pub fn unproject(&self, pixel: DVec2, depth: f64) -> DVec3 {
-        DVec3::new(
-            (pixel.x - self.cx) / self.fx * depth,
-            (pixel.y - self.cy) / self.fy * depth,
-            depth,
-        )
+        match self.model {
+            CameraModel::Pinhole => DVec3::new(
+                (pixel.x - self.cx) / self.fx * depth,
+                (pixel.y - self.cy) / self.fy * depth,
+                depth,
+            ),
+        }
     }
 }
 

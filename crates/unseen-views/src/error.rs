@@ -34,8 +34,10 @@ pub enum WarpError {
         /// What is asked of it.
         must: &'static str,
     },
-    /// A pose holds a number that is not finite, or has no inverse.
-    #[error("the {which} pose is no rigid transform: a number is not finite, or it has no inverse")]
+    /// A camera's pose holds a number that is not finite, or has no inverse.
+    #[error(
+        "the {which} camera's pose is no rigid transform: a number is not finite, or it has no inverse"
+    )]
     Pose {
         /// `source` or `target`.
         which: &'static str,

@@ -1,4 +1,4 @@
-//! Poses around a camera path and forward warping into them.
+//! Camera poses around a camera's path and forward warping into them.
 //!
 //! Views that no camera took keep a scene honest where the training views alone leave it free: a
 //! frame with depth is warped to a pose beside the path and serves there as a picture to learn from.
@@ -8,12 +8,12 @@
 //! Conventions: camera axes x right, y down, z forward; the centre of pixel (i, j) is at
 //! (i + 0.5, j + 0.5); depth is z-depth in scene units; poses are named `cam_from_world`.
 
+mod camera_path;
 #[cfg(test)]
 mod cases;
 mod error;
-mod pose;
 mod warp;
 
+pub use camera_path::{parallel_pose, perpendicular_pose};
 pub use error::WarpError;
-pub use pose::{parallel_pose, perpendicular_pose};
 pub use warp::{Source, WarpOptions, Warped, warp};

@@ -19,7 +19,7 @@
 
 use crate::WarpError;
 use glam::{DAffine3, DVec2};
-use splat_core::Camera;
+use splat_core::{Camera, CameraModel};
 
 /// Bilinear shares below this are rounding, and are dropped: else a pixel that lands on a pixel centre
 /// to within rounding would leak into its neighbours, where the z-buffer could let it win.
@@ -310,6 +310,7 @@ fn check(
 
 fn check_camera(which: &'static str, camera: &Camera) -> Result<(), WarpError> {
     let Camera {
+        model: CameraModel::Pinhole,
         width,
         height,
         fx,

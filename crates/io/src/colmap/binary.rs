@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{ModelImage, lens, model_by_id, point, pose};
+use super::model::{ModelImage, cam_from_world, lens, model_by_id, point};
 use crate::bytes::{Cursor, read_file};
 use crate::camera_model::Lens;
 use crate::{IoError, SparsePoint};
@@ -48,7 +48,7 @@ pub(super) fn read_images(path: &Path) -> Result<Vec<ModelImage>, IoError> {
         let num_points = data.count(24, "2D points")?;
         data.take(24 * num_points, "an image's 2D points")?;
         images.push(ModelImage {
-            cam_from_world: pose([w, x, y, z], [tx, ty, tz], &name, path)?,
+            cam_from_world: cam_from_world([w, x, y, z], [tx, ty, tz], &name, path)?,
             name,
             camera_id,
         });

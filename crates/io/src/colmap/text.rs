@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::str::FromStr;
 
-use super::{ModelImage, lens, point, pose};
+use super::model::{ModelImage, cam_from_world, lens, point};
 use crate::bytes::read_file;
 use crate::camera_model::Lens;
 use crate::{IoError, SparsePoint};
@@ -102,7 +102,7 @@ pub(super) fn read_images(path: &Path) -> Result<Vec<ModelImage>, IoError> {
             ));
         }
         images.push(ModelImage {
-            cam_from_world: pose(quat, translation, &name, path)?,
+            cam_from_world: cam_from_world(quat, translation, &name, path)?,
             name,
             camera_id,
         });

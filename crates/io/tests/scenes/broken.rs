@@ -163,35 +163,6 @@ fn crc32(data: &[u8]) -> u32 {
 }
 
 #[test]
-fn random_bytes_never_panic() {
-    let som = Som::new();
-    som.pack_tracks();
-    let files = [
-        "images/00000.png".to_string(),
-        "flow3d_preprocessed/2d_tracks.npz".into(),
-        format!("{SPARSE}/cameras.bin"),
-        format!("{SPARSE}/images.bin"),
-        format!("{SPARSE}/points3D.bin"),
-    ];
-    let whole = files
-        .each_ref()
-        .map(|file| fs::read(som.path(file)).unwrap());
-    arbtest::arbtest(|u| {
-        let which = u.choose_index(files.len())?;
-        let mut data = whole[which].clone();
-        for _ in 0..u.int_in_range(1..=6)? {
-            let at = u.choose_index(data.len())?;
-            data[at] = u.arbitrary()?;
-        }
-        fs::write(som.path(&files[which]), &data).unwrap();
-        Scene::open(som.root()).ok();
-        fs::write(som.path(&files[which]), &whole[which]).unwrap();
-        Ok(())
-    })
-    .budget_ms(1000);
-}
-
-#[test]
 fn missing_files_are_named() {
     for (file, named) in [
         (format!("{DEPTH}/00001.npy"), "00001"),
@@ -222,11 +193,7 @@ fn missing_files_are_named() {
 
 #[test]
 fn wrong_sizes_are_named() {
-    for file in [
-        "images/00001.png",
-        "images_test/00001.png",
-        "masks/00001.png",
-    ] {
+    for file in ["images/00001.png", "masks/00001.png"] {
         let som = Som::new();
         make::picture(&som.path(file), (WIDTH / 2, HEIGHT / 2), |_, _| 255);
         let error = error_names(som.root(), file, "half the size");

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use glam::{DVec2, DVec3};
-use io::{IoError, LoadOptions, Scene, SceneFormat};
+use io::{IoError, LoadOptions, Scene};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -60,7 +60,7 @@ fn axes_are_converted() {
             json!([[0, 0, 1, 1], [0, 1, 0, 2], [-1, 0, 0, 3], [0, 0, 0, 1]]);
     })
     .unwrap();
-    assert_eq!(scene.format, SceneFormat::Nerfstudio);
+    assert_eq!(scene.layout, "nerfstudio");
     let see = |point: DVec3| {
         let view = &scene.frames[0].view;
         let in_cam = view.cam_from_world.transform_point3(point);
@@ -298,7 +298,7 @@ fn depth_in_millimetres() {
     let one = open(|t| t["frames"][2]["depth_file_path"] = "depth/f2.png".into());
     let text = one.unwrap_err().to_string();
     assert!(
-        text.contains("depth_file_path") && text.contains("f3"),
+        text.contains("the depth of f0, f1, f3") && text.contains("transforms.json"),
         "{text}"
     );
     let metres = with_depth("npy");
@@ -330,11 +330,17 @@ fn black_in_a_mask_is_what_moves() {
         static_scene: true,
         ..LoadOptions::default()
     };
-    assert!(
-        Scene::open_with(root, &options).unwrap().frames[0]
-            .mask
-            .is_none()
-    );
+    let scene = Scene::open_with(root, &options).unwrap();
+    assert!(scene.frames[0].mask.is_none());
+    // A static scene reads no masks, so that some may be missing.
+    let all = fs::read_to_string(root.join("transforms.json")).unwrap();
+    let some = all.replacen("mask_path", "no_mask_path", 1);
+    fs::write(root.join("transforms.json"), some).unwrap();
+    let scene = Scene::open_with(root, &options).unwrap();
+    assert!(scene.frames.iter().all(|f| f.mask.is_none()));
+    let text = Scene::open(root).unwrap_err().to_string();
+    assert!(text.contains("the mask of f0"), "{text}");
+    fs::write(root.join("transforms.json"), all).unwrap();
 
     for q in 0..4 {
         for t in 0..4 {

@@ -1,23 +1,30 @@
-//! The demo scene of this repository, and the shared scenes where they are there.
+//! The demo scene of this repository, and the shared scenes and files where they are there.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
-use io::{LoadOptions, Map, Scene, SceneFormat, View};
+use io::{LoadOptions, Map, Scene, View, read_ply, write_ply};
 use splat_core::camera_center;
 
 fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A shared scene; says so when it is not there.
-fn shared(name: &str) -> Option<PathBuf> {
-    let path = repository().join("../shared/scenes").join(name);
-    if !path.is_dir() {
-        eprintln!("skipped: no {}", path.display());
-        return None;
+/// Those of the shared files and folders that are there. What is missing is told in one line, past the
+/// test harness, which would keep it: the test run counts these lines.
+fn shared(test: &str, names: &[&str]) -> Vec<PathBuf> {
+    let shared = repository().join("../shared");
+    let (found, missing): (Vec<&str>, Vec<&str>) = names
+        .iter()
+        .copied()
+        .partition(|name| shared.join(name).exists());
+    if !missing.is_empty() {
+        let missing = missing.join(", ");
+        let line = format!("skipped: {test}: {} lacks {missing}\n", shared.display());
+        std::io::stderr().write_all(line.as_bytes()).ok();
     }
-    Some(path)
+    found.into_iter().map(|name| shared.join(name)).collect()
 }
 
 fn half(path: &Path) -> Scene {
@@ -137,7 +144,7 @@ fn demo_opens_and_fits_together() {
     );
     check_rendered(&scene, 16, true);
     check_rendered(&half(&repository().join("demo")), 16, true);
-    if let Some(original) = shared("demo") {
+    for original in shared("demo_opens_and_fits_together", &["scenes/demo"]) {
         assert_eq!(
             Scene::open(&original).unwrap().tracks,
             scene.tracks,
@@ -148,23 +155,24 @@ fn demo_opens_and_fits_together() {
 
 #[test]
 fn rendered_scenes() {
-    for (name, moving) in [
-        ("motion-a", true),
-        ("defocus-a", true),
-        ("both-a", true),
-        ("sharp-a", true),
-        ("static-a", false),
-    ] {
-        if let Some(path) = shared(name) {
-            check_rendered(&half(&path), 24, moving);
-        }
+    let scenes = [
+        "scenes/motion-a",
+        "scenes/defocus-a",
+        "scenes/both-a",
+        "scenes/sharp-a",
+        "scenes/static-a",
+    ];
+    for path in shared("rendered_scenes", &scenes) {
+        check_rendered(&half(&path), 24, !path.ends_with("static-a"));
     }
 }
 
 #[test]
 fn toycar() {
-    let Some(path) = shared("toycar") else { return };
-    let scene = Scene::open(&path).unwrap();
+    let [path] = &shared("toycar", &["scenes/toycar"])[..] else {
+        return;
+    };
+    let scene = Scene::open(path).unwrap();
     assert_eq!((scene.frames.len(), scene.test.len()), (24, 24));
     let error = points_against_depth(&scene);
     assert!(error < 0.05, "points and depth differ by {error}");
@@ -199,15 +207,11 @@ fn depth_between(scene: &Scene, from: usize, to: usize) -> f64 {
 
 #[test]
 fn kitchen() {
-    let Some(path) = shared("kitchen") else {
+    let [path] = &shared("kitchen", &["scenes/kitchen"])[..] else {
         return;
     };
-    for scene in [Scene::open(&path).unwrap(), half(&path)] {
-        assert_eq!(
-            scene.format,
-            SceneFormat::Nerfstudio,
-            "transforms.json wins"
-        );
+    for scene in [Scene::open(path).unwrap(), half(path)] {
+        assert_eq!(scene.layout, "nerfstudio", "transforms.json wins");
         assert_eq!((scene.frames.len(), scene.test.len()), (36, 8));
         assert!(scene.tracks.is_none() && scene.frames.iter().all(|f| f.mask.is_none()));
         let valid = |m: &Map| m.values.iter().filter(|&&z| z > 0.0).count() as f64;
@@ -221,4 +225,46 @@ fn kitchen() {
             "depth moved from view to view differs by {error}"
         );
     }
+}
+
+/// Written again, a file of another program is the same.
+#[test]
+fn a_file_of_another_program() {
+    let file = "reference/splat_ply/test-splat.3-points-from-train.ply";
+    let [path] = &shared("a_file_of_another_program", &[file])[..] else {
+        return;
+    };
+    let read = read_ply(path).unwrap();
+    assert_eq!((read.len(), read.sh_degree), (3, 3));
+    // The .splat file beside it has the same points: position, scale (f32), colour and opacity,
+    // rotation (u8), 32 bytes each.
+    let splat = std::fs::read(path.with_extension("splat")).unwrap();
+    for i in 0..3 {
+        let row = &splat[32 * i..32 * (i + 1)];
+        let float = |at: usize| f32::from_le_bytes(row[4 * at..4 * at + 4].try_into().unwrap());
+        for axis in 0..3 {
+            assert!((read.means[i][axis] - float(axis)).abs() < 1e-5);
+            assert!((read.log_scales[i][axis].exp() / float(3 + axis) - 1.0).abs() < 1e-4);
+            let color = 0.5 + 0.282_094_8 * read.sh[i * 48 + axis];
+            assert!((color.clamp(0.0, 1.0) * 255.0 - f32::from(row[24 + axis])).abs() <= 1.0);
+        }
+        let opacity = 1.0 / (1.0 + (-read.opacity_logits[i]).exp());
+        assert!((opacity * 255.0 - f32::from(row[27])).abs() <= 1.0);
+        let quat = read.quats[i];
+        let norm = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
+        for (q, &byte) in quat.iter().zip(&row[28..]) {
+            assert!((q / norm * 128.0 + 128.0 - f32::from(byte)).abs() <= 1.5);
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let again = folder.path().join("again.ply");
+    write_ply(&again, &read).unwrap();
+    // Byte for byte the same but for the normals, which nobody reads: that program writes (0, 0, 1).
+    let (ours, mut theirs) = (std::fs::read(&again).unwrap(), std::fs::read(path).unwrap());
+    let rows = theirs.len() - 3 * 62 * 4;
+    for i in 0..3 {
+        let normal = rows + (i * 62 + 3) * 4;
+        theirs[normal..normal + 12].fill(0);
+    }
+    assert!(ours == theirs, "our writer gives another file");
 }

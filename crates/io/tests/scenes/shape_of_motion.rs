@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use glam::DVec3;
-use io::{IoError, LoadOptions, Scene, SceneFormat};
+use io::{IoError, LoadOptions, Scene};
 
 use crate::make::{
     self, FOCAL, FRAMES, HEIGHT, PINHOLE, POINTS, Som, WIDTH, colmap_binary, colmap_text, names,
@@ -22,7 +22,7 @@ fn downscaled(downscale: usize) -> LoadOptions {
 fn everything_is_read() {
     let som = Som::new();
     let scene = Scene::open(som.root()).unwrap();
-    assert_eq!(scene.format, SceneFormat::ShapeOfMotion);
+    assert_eq!(scene.layout, "Shape-of-Motion");
     assert_eq!((scene.frames.len(), scene.test.len()), (FRAMES, FRAMES));
     for (i, frame) in scene.frames.iter().enumerate() {
         let view = &frame.view;
@@ -204,6 +204,53 @@ fn truth_is_read_at_the_same_size() {
 }
 
 #[test]
+fn test_views_have_sizes_of_their_own() {
+    let som = Som::new();
+    let double = |file: &str, value: fn(usize, usize) -> u8| {
+        make::picture(&som.path(file), (2 * WIDTH, 2 * HEIGHT), value);
+    };
+    double("images_test/00001.png", |x, _| x as u8);
+    double("truth/covisible/00001.png", |_, _| 255);
+    double("truth/masks_test/00001.png", |x, _| 255 * u8::from(x < 8));
+    for downscale in [1, 2, 5] {
+        let scene = Scene::open_with(som.root(), &downscaled(downscale)).unwrap();
+        let (large, small) = (&scene.test[1], &scene.test[0]);
+        for (view, width, height) in [(large, 2 * WIDTH, 2 * HEIGHT), (small, WIDTH, HEIGHT)] {
+            let size = (width / downscale, height / downscale);
+            assert_eq!((view.image.width, view.image.height), size);
+            assert_eq!((view.camera.width, view.camera.height), size);
+        }
+        // The model's camera is that of the smaller picture: the same rays, twice as many pixels.
+        let point = DVec3::new(0.2, 0.1, 3.0);
+        let (a, b) = (large.camera.project(point), small.camera.project(point));
+        assert!((a - b * 2.0).length() < 1e-12, "{a} is not twice {b}");
+        let truth = scene.truth().unwrap();
+        let (seen, moving) = (truth.covisible.unwrap(), truth.masks_test.unwrap());
+        assert_eq!(seen[1].values.len(), large.camera.num_pixels());
+        assert_eq!(moving[1].width, large.camera.width);
+        assert_eq!(moving[0].width, small.camera.width);
+        let told = |part: &str| scene.notes.iter().any(|n| n.contains(part));
+        assert!(told("intrinsics were scaled to the pictures' size 32x24"));
+        assert_eq!(told("16x12 is no multiple of 5"), downscale == 5);
+        assert_eq!(told("32x24 is no multiple of 5"), downscale == 5);
+    }
+    // The truth of a test view has that view's size, not the training frames'.
+    let scene = Scene::open(som.root()).unwrap();
+    let file = "truth/covisible/00001.png";
+    make::picture(&som.path(file), (WIDTH, HEIGHT), |_, _| 255);
+    let text = scene.truth().unwrap_err().to_string();
+    assert!(text.contains("16x12, expected 32x24"), "{text}");
+    // Its picture has its camera's proportions, whatever its size.
+    let file = "images_test/00001.png";
+    make::picture(&som.path(file), (2 * WIDTH, HEIGHT), |_, _| 255);
+    let text = Scene::open(som.root()).unwrap_err().to_string();
+    assert!(
+        text.contains("aspect ratio") && text.contains(file),
+        "{text}"
+    );
+}
+
+#[test]
 fn frames_from_another_folder() {
     let som = Som::new();
     let options = LoadOptions {
@@ -262,7 +309,7 @@ fn optional_parts_may_be_missing() {
     let scene = Scene::open_with(som.root(), &options).unwrap();
     assert!(scene.tracks.is_none() && scene.frames.iter().all(|f| f.mask.is_none()));
     assert!(
-        scene.notes.iter().any(|n| n.contains("ignored")),
+        scene.notes.iter().any(|n| n.contains("are not read")),
         "{:?}",
         scene.notes
     );
@@ -273,6 +320,10 @@ fn optional_parts_may_be_missing() {
 #[test]
 fn static_scene_drops_masks_and_tracks() {
     let som = Som::new();
+    // Neither is read, so neither need be whole.
+    som.remove("masks/00001.png");
+    som.remove("flow3d_preprocessed/2d_tracks/00001_00002.npy");
+    assert!(Scene::open(som.root()).is_err());
     let options = LoadOptions {
         static_scene: true,
         ..LoadOptions::default()
@@ -457,12 +508,15 @@ fn unknown_folders_say_what_was_looked_for() {
     assert!(matches!(error, IoError::Unrecognised { .. }), "{error}");
     let text = error.to_string();
     for part in [
-        "transforms.json",
-        "flow3d_preprocessed",
-        "only images/ is there",
+        "transforms.json (nerfstudio)",
+        "images/ with flow3d_preprocessed/ (Shape-of-Motion)",
+        "found only images/",
     ] {
         assert!(text.contains(part), "{text}");
     }
+    fs::remove_dir(folder.path().join("images")).unwrap();
+    let text = Scene::open(folder.path()).unwrap_err().to_string();
+    assert!(text.contains("found nothing"), "{text}");
     let nowhere = folder.path().join("nowhere");
     assert!(
         Scene::open(&nowhere)

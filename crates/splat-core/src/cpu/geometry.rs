@@ -7,11 +7,12 @@ use pulp::Simd;
 
 use super::packs::{Number, Pack, Where, array};
 use super::{LOW_PASS, Real, SplatSlices, View};
+use crate::CameraModel;
 
 /// Below this a quaternion's norm counts as this much: a zero quaternion is the identity.
 const NORM_FLOOR: f64 = 1e-12;
 
-/// Intrinsics in the kernels' float type, and where the Jacobian is clamped.
+/// A pinhole's intrinsics in the kernels' float type, and where the Jacobian is clamped.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lens<T> {
     pub(super) fx: T,
@@ -29,6 +30,8 @@ pub(super) struct Lens<T> {
 impl<T: Real> Lens<T> {
     pub(super) fn new(view: &View<T>) -> Self {
         let c = &view.camera;
+        // What the kernels compute; another model needs a lens of its own.
+        let CameraModel::Pinhole = c.model;
         let (w, h) = (c.width as f64, c.height as f64);
         let margin = [0.3 * 0.5 * w / c.fx, 0.3 * 0.5 * h / c.fy];
         Self {

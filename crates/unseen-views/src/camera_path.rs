@@ -1,7 +1,7 @@
-//! Poses beside a camera path.
+//! Camera poses on and beside a camera's path.
 //!
-//! Both take and return `cam_from_world`. Where the path itself has no camera, two kinds of pose are
-//! made from two neighbours on it: one half-way between them, and one beside the path, across it.
+//! Both functions take and return `cam_from_world`. Where the path itself has no camera, two kinds of
+//! pose are made from two neighbours on it: one half-way between them, and one beside the path, across it.
 
 use glam::{DAffine3, DMat3, DVec3};
 
@@ -12,7 +12,7 @@ const MIN_SINE: f64 = 1e-6;
 /// A baseline below this share of the centres' distance from the origin is rounding noise.
 const MIN_BASELINE: f64 = 1e-9;
 
-/// The pose half-way between two neighbours: centres averaged, axes averaged and made orthonormal.
+/// The camera's pose half-way between two neighbours: centres averaged, axes averaged and made orthonormal.
 ///
 /// The viewing direction is the mean of the two, and x is perpendicular to it and to the mean of the
 /// two y axes. For two poses that differ by a rotation, this is the half rotation.
@@ -30,14 +30,14 @@ pub fn parallel_pose(a: &DAffine3, b: &DAffine3) -> Option<DAffine3> {
     let y = z.cross(x);
     let center = (world_from_a.translation + world_from_b.translation) * 0.5;
     let cam_from_world_rotation = DMat3::from_cols(x, y, z).transpose();
-    let pose = DAffine3::from_mat3_translation(
+    let cam_from_world = DAffine3::from_mat3_translation(
         cam_from_world_rotation,
         -(cam_from_world_rotation * center),
     );
-    pose.is_finite().then_some(pose)
+    cam_from_world.is_finite().then_some(cam_from_world)
 }
 
-/// `a`'s pose with its centre moved by `offset` (scene units, either sign) across the path.
+/// The camera's pose `a` with its centre moved by `offset` (scene units, either sign) across the path.
 ///
 /// The direction is that of `a`'s viewing direction x the baseline from `a` to `b`: for a camera that
 /// moves to its right, a positive offset moves it along its y axis, which is down. Where this has no

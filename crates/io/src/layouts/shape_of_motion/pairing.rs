@@ -1,172 +1,20 @@
-//! The layout of Shape-of-Motion's users (and of the reference code).
-//!
-//! ```text
-//! images/                              training frames, in the order of their names
-//! images_test/                         optional: test views
-//! masks/                               optional: white where something moves
-//! flow3d_preprocessed/
-//!   colmap/sparse[/0]                  cameras, images, points3D (.bin or .txt)
-//!   aligned_depth_anything_colmap/     optional: {frame}.npy, disparity [H, W]
-//!   2d_tracks/                         optional: {query}_{target}.npy, [P, 4]
-//!   2d_tracks.npz                      or the same arrays in one file
-//! ```
+//! Which camera of the COLMAP model belongs to which file, by name.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
 
-use crate::colmap::{Model, ModelImage, find_model, read_model};
+use crate::IoError;
+use crate::colmap::Model;
 use crate::error::list_names;
-use crate::folder::{Listing, PICTURES, list, stem_of};
-use crate::scene::{DepthFile, Plan, PlannedFrame, PlannedView};
-use crate::tracks::TrackFiles;
-use crate::{IoError, LoadOptions, SceneFormat};
-
-pub(crate) fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
-    let preprocessed = root.join("flow3d_preprocessed");
-    let mut notes = Vec::new();
-
-    let images_at = root.join("images");
-    let images = list_pictures(&images_at, &mut notes)?;
-    let stems = images.stems();
-    let paths = match &options.images {
-        None => images.pick(&stems, &images_at, "frames", "")?,
-        Some(other) => other_images(&root.join(other), &stems, &mut notes)?,
-    };
-
-    let test_at = root.join("images_test");
-    let test_images = list(&test_at, PICTURES)?;
-    let test_stems = test_images.stems();
-
-    let colmap = preprocessed.join("colmap");
-    let model_at = find_model(&colmap).ok_or_else(|| {
-        IoError::missing(
-            &colmap,
-            "the COLMAP model: no images.bin or images.txt in sparse/ or sparse/0/",
-            "run COLMAP on the frames, or copy its model here",
-        )
-    })?;
-    let model = read_model(&model_at)?;
-    let pairing = pair(&stems, &test_stems, &model, &mut notes)?;
-
-    let disparity_at = preprocessed.join("aligned_depth_anything_colmap");
-    let disparity = list(&disparity_at, &["npy"])?;
-    let disparity = optional(&disparity, &stems, &disparity_at, "disparity of")?;
-    let masks_at = root.join("masks");
-    let masks = optional(&list(&masks_at, PICTURES)?, &stems, &masks_at, "masks of")?;
-
-    let mut frames = Vec::with_capacity(stems.len());
-    for (i, (name, image)) in stems.iter().zip(paths).enumerate() {
-        frames.push(PlannedFrame {
-            view: planned_view(
-                &model,
-                name,
-                image,
-                &model.images[pairing.training[i]],
-                i as f32,
-            )?,
-            depth: disparity
-                .as_ref()
-                .map(|d| DepthFile::Disparity(d[i].clone())),
-            mask: masks.as_ref().map(|m| m[i].clone()),
-        });
-    }
-    let mut test = Vec::new();
-    for (name, &(at, time)) in test_stems.iter().zip(&pairing.test) {
-        let image = test_images.files[name].clone();
-        test.push(planned_view(&model, name, image, &model.images[at], time)?);
-    }
-    Ok(Plan {
-        format: SceneFormat::ShapeOfMotion,
-        frames,
-        test,
-        points: model.points,
-        inverted_masks: false,
-        masks_at,
-        tracks: TrackFiles::new(&preprocessed),
-        notes,
-    })
-}
-
-fn list_pictures(folder: &Path, notes: &mut Vec<String>) -> Result<Listing, IoError> {
-    let images = list(folder, PICTURES)?;
-    if images.files.is_empty() {
-        return Err(IoError::missing(
-            folder,
-            format!("frames: no PNG or JPEG among {} files", images.others),
-            "put the video's frames there",
-        ));
-    }
-    if images.others > 0 {
-        notes.push(format!(
-            "ignored {} files in images/ that are no PNG or JPEG",
-            images.others
-        ));
-    }
-    Ok(images)
-}
-
-/// The training frames' pictures from another folder.
-pub(crate) fn other_images(
-    folder: &Path,
-    stems: &[String],
-    notes: &mut Vec<String>,
-) -> Result<Vec<PathBuf>, IoError> {
-    notes.push(format!(
-        "training frames are taken from {}",
-        folder.display()
-    ));
-    let advice = "the other folder needs a picture for each training frame";
-    list(folder, PICTURES)?.pick(stems, folder, "frames", advice)
-}
-
-/// One file per frame where the folder has any at all.
-fn optional(
-    listing: &Listing,
-    stems: &[String],
-    folder: &Path,
-    what: &str,
-) -> Result<Option<Vec<PathBuf>>, IoError> {
-    if listing.files.is_empty() {
-        return Ok(None);
-    }
-    let advice = "add them, or remove the folder to do without";
-    listing.pick(stems, folder, what, advice).map(Some)
-}
-
-/// A view with its camera, which must be a pinhole. (Cameras that no view has may be what they like.)
-fn planned_view(
-    model: &Model,
-    name: &str,
-    image: PathBuf,
-    posed: &ModelImage,
-    time: f32,
-) -> Result<PlannedView, IoError> {
-    let lens = model.cameras.get(&posed.camera_id).ok_or_else(|| {
-        IoError::malformed(
-            &model.images_path,
-            format!(
-                "image {} has camera {}, which is not there",
-                posed.name, posed.camera_id
-            ),
-        )
-    })?;
-    Ok(PlannedView {
-        name: name.into(),
-        image,
-        camera: lens.clone().into_pinhole(&model.cameras_path)?,
-        camera_file: model.cameras_path.clone(),
-        cam_from_world: posed.cam_from_world,
-        time,
-    })
-}
+use crate::folder::stem_of;
+use crate::plan::time_between;
 
 /// Which of the model's images belongs to which file.
 #[derive(Debug, PartialEq)]
-struct Pairing {
+pub(super) struct Pairing {
     /// For each training frame.
-    training: Vec<usize>,
+    pub(super) training: Vec<usize>,
     /// For each test view, with its time; empty when the model has none.
-    test: Vec<(usize, f32)>,
+    pub(super) test: Vec<(usize, f32)>,
 }
 
 /// Finds each file's camera by name.
@@ -177,7 +25,7 @@ struct Pairing {
 ///   are numbered by the instant, i, or as in the model. Files whose names are no numbers count in
 ///   their order.
 /// - Anything else is an error with the difference.
-fn pair(
+pub(super) fn pair(
     stems: &[String],
     test_stems: &[String],
     model: &Model,
@@ -186,10 +34,8 @@ fn pair(
     let mut by_stem = BTreeMap::new();
     for (at, image) in model.images.iter().enumerate() {
         if by_stem.insert(stem_of(&image.name), at).is_some() {
-            return Err(IoError::names(
-                &model.images_path,
-                format!("two images are called {}", stem_of(&image.name)),
-            ));
+            let what = format!("two images are called {}", stem_of(&image.name));
+            return Err(IoError::names(&model.images_path, what));
         }
     }
     let beyond: Vec<_> = by_stem
@@ -248,32 +94,21 @@ fn stereo(
     test_stems: &[String],
     by_number: &BTreeMap<u64, usize>,
 ) -> Result<Pairing, String> {
-    let by_instant = (numbers(stems), numbers(test_stems));
-    let left = |n: &u64| n.checked_mul(2);
-    let right = |n: &u64| n.checked_mul(2)?.checked_add(1);
-    let as_in_model = |n: &u64| Some(*n);
-    let choose = |numbers: &[u64], rule: &dyn Fn(&u64) -> Option<u64>| -> Vec<u64> {
-        numbers
-            .iter()
-            .map(|n| rule(n).unwrap_or(u64::MAX))
-            .collect()
+    let as_in_model = (numbers(stems), numbers(test_stems));
+    // A number too large to be doubled stays one that no model has.
+    let doubled = |numbers: &[u64], odd: u64| -> Vec<u64> {
+        let double = |n: &u64| n.saturating_mul(2).saturating_add(odd);
+        numbers.iter().map(double).collect()
     };
-    let first = (choose(&by_instant.0, &left), choose(&by_instant.1, &right));
-    let second = (
-        choose(&by_instant.0, &as_in_model),
-        choose(&by_instant.1, &as_in_model),
-    );
-    let (left, right) = if difference(&first.0, &first.1, by_number).is_some()
-        && difference(&second.0, &second.1, by_number).is_none()
-    {
-        second
-    } else {
-        first
+    let by_instant = (doubled(&as_in_model.0, 0), doubled(&as_in_model.1, 1));
+    let differ = |both: &(Vec<u64>, Vec<u64>)| difference(&both.0, &both.1, by_number);
+    let (left, right) = match differ(&by_instant) {
+        None => by_instant,
+        Some(_) if differ(&as_in_model).is_none() => as_in_model,
+        Some(difference) => return Err(difference),
     };
-    if let Some(difference) = difference(&left, &right, by_number) {
-        return Err(difference);
-    }
-    let time = |right: u64| time_between(right - 1, &left);
+    let instants: Vec<_> = left.iter().map(|&n| n as f64).collect();
+    let time = |right: u64| time_between((right - 1) as f64, &instants);
     Ok(Pairing {
         training: left.iter().map(|n| by_number[n]).collect(),
         test: right.iter().map(|&n| (by_number[&n], time(n))).collect(),
@@ -287,10 +122,7 @@ fn difference(left: &[u64], right: &[u64], by_number: &BTreeMap<u64, usize>) -> 
     };
     let mut parts = Vec::new();
     for (asked, odd, folder) in [(left, 0, "images/"), (right, 1, "images_test/")] {
-        let (asked, there) = (
-            asked.iter().copied().collect::<BTreeSet<_>>(),
-            of_parity(odd),
-        );
+        let (asked, there) = (BTreeSet::from_iter(asked.iter().copied()), of_parity(odd));
         // Right cameras without test views are no harm.
         if odd == 1 && asked.is_empty() {
             continue;
@@ -347,22 +179,10 @@ fn digits(text: &str) -> Option<u64> {
     all.then(|| text.parse().ok()).flatten()
 }
 
-/// The time of an instant between the training frames' instants (ascending).
-fn time_between(instant: u64, training: &[u64]) -> f32 {
-    let after = training.partition_point(|&n| n < instant);
-    if after == training.len() {
-        return training.len().saturating_sub(1) as f32;
-    }
-    if after == 0 || training[after] == instant {
-        return after as f32;
-    }
-    let (a, b) = (training[after - 1], training[after]);
-    (after - 1) as f32 + ((instant - a) as f64 / (b - a) as f64) as f32
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::colmap::ModelImage;
 
     fn model(names: &[&str]) -> Model {
         let image = |name: &&str| ModelImage {
@@ -438,8 +258,6 @@ mod tests {
             paired(&["0", "1", "2"], &["2"], &names),
             is(&[0, 1, 2], &[(3, 2.0)])
         );
-        assert_eq!(time_between(3, &[0, 2, 4]), 1.5);
-        assert_eq!(time_between(9, &[0, 2, 4]), 2.0);
     }
 
     #[test]

@@ -1,0 +1,191 @@
+//! The file: what it says of all frames and of each.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+use serde::Deserialize;
+use splat_core::Camera;
+
+use crate::IoError;
+use crate::bytes::read_file;
+use crate::camera_model::{Distortion, Lens};
+use crate::picture::read_size;
+use crate::plan::PlannedView;
+
+#[derive(Deserialize)]
+pub(super) struct Transforms {
+    /// The file itself.
+    #[serde(skip)]
+    pub(super) path: PathBuf,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+    pub(super) depth_unit_scale_factor: Option<f64>,
+    pub(super) train_filenames: Option<Vec<String>>,
+    pub(super) test_filenames: Option<Vec<String>>,
+    pub(super) ply_file_path: Option<String>,
+    pub(super) frames: Vec<Entry>,
+}
+
+/// A frame.
+#[derive(Deserialize)]
+pub(super) struct Entry {
+    pub(super) file_path: String,
+    pub(super) depth_file_path: Option<String>,
+    pub(super) mask_path: Option<String>,
+    pub(super) time: Option<f64>,
+    pub(super) split: Option<String>,
+    transform_matrix: Vec<Vec<f64>>,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+}
+
+#[derive(Clone, Default, Deserialize)]
+struct Intrinsics {
+    camera_model: Option<String>,
+    camera_angle_x: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    k5: Option<f64>,
+    k6: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+impl Transforms {
+    pub(super) fn read(path: PathBuf) -> Result<Self, IoError> {
+        match serde_json::from_slice::<Self>(&read_file(&path)?) {
+            Ok(transforms) => Ok(Self { path, ..transforms }),
+            Err(e) => Err(IoError::malformed(
+                &path,
+                format!("not nerfstudio's transforms.json: {e}"),
+            )),
+        }
+    }
+
+    /// The view of a frame with its own picture.
+    pub(super) fn view(
+        &self,
+        root: &Path,
+        entry: &Entry,
+        name: String,
+        time: f32,
+    ) -> Result<PlannedView, IoError> {
+        let image = root.join(&entry.file_path);
+        Ok(PlannedView {
+            name,
+            camera: self.lens(entry, &image)?.into_pinhole(&self.path)?,
+            image,
+            camera_file: self.path.clone(),
+            cam_from_world: cam_from_world(entry, &self.path)?,
+            time,
+        })
+    }
+
+    fn lens(&self, entry: &Entry, image: &Path) -> Result<Lens, IoError> {
+        let (own, global, path) = (&entry.intrinsics, &self.intrinsics, &self.path);
+        let get = |key: fn(&Intrinsics) -> Option<f64>| key(own).or(key(global));
+        let or_zero = |key: fn(&Intrinsics) -> Option<f64>| get(key).unwrap_or(0.0);
+        let side = |value: f64| (1.0..=1e6).contains(&value).then_some(value as usize);
+        let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
+            (Some(w), Some(h)) => side(w).zip(side(h)).ok_or_else(|| {
+                IoError::malformed(path, format!("{} has w {w} and h {h}", entry.file_path))
+            })?,
+            _ => read_size(image)?,
+        };
+        let by_angle = |angle: f64| 0.5 * width as f64 / (0.5 * angle).tan();
+        let Some(fx) = get(|i| i.fl_x).or(get(|i| i.camera_angle_x).map(by_angle)) else {
+            let name = &entry.file_path;
+            let what = format!("{name} has no fl_x, and there is none for all frames");
+            return Err(IoError::malformed(path, what));
+        };
+        let model = own.camera_model.clone().or(global.camera_model.clone());
+        let model = model.unwrap_or_else(|| "OPENCV".into());
+        let [k1, k2, k3, k4] = [
+            or_zero(|i| i.k1),
+            or_zero(|i| i.k2),
+            or_zero(|i| i.k3),
+            or_zero(|i| i.k4),
+        ];
+        let tangential = [or_zero(|i| i.p1), or_zero(|i| i.p2)];
+        let distortion = match model.as_str() {
+            "OPENCV_FISHEYE" => Distortion::Fisheye {
+                k: [k1, k2, k3, k4],
+            },
+            "FULL_OPENCV" => Distortion::Radial {
+                num: [k1, k2, k3, 0.0],
+                den: [k4, or_zero(|i| i.k5), or_zero(|i| i.k6)],
+                tangential,
+            },
+            "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "RADIAL" | "SIMPLE_RADIAL" => {
+                Distortion::Radial {
+                    num: [k1, k2, k3, k4],
+                    den: [0.0; 3],
+                    tangential,
+                }
+            }
+            other => {
+                let what = "is not supported; undistort the images first";
+                return Err(IoError::malformed(
+                    path,
+                    format!("camera model {other} {what}"),
+                ));
+            }
+        };
+        Ok(Lens {
+            model,
+            camera: Camera::pinhole(
+                width,
+                height,
+                fx,
+                get(|i| i.fl_y).unwrap_or(fx),
+                get(|i| i.cx).unwrap_or(width as f64 / 2.0),
+                get(|i| i.cy).unwrap_or(height as f64 / 2.0),
+            ),
+            distortion,
+        })
+    }
+}
+
+/// OpenCV's camera from world, of OpenGL's world from camera.
+fn cam_from_world(entry: &Entry, path: &Path) -> Result<DAffine3, IoError> {
+    let rows = &entry.transform_matrix;
+    let usable = (3..=4).contains(&rows.len()) && rows.iter().all(|row| row.len() == 4);
+    let no_pose = |why: &str| {
+        let what = format!("transform_matrix of {} {why}", entry.file_path);
+        Err(IoError::malformed(path, what))
+    };
+    if !usable {
+        return no_pose("is not 4x4 or 3x4");
+    }
+    let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
+    let rotation = DMat3::from_cols(column(0), column(1), column(2));
+    let center = column(3);
+    let excess = rotation.transpose() * rotation - DMat3::IDENTITY;
+    let off = excess
+        .to_cols_array()
+        .iter()
+        .fold(0.0, |m: f64, v| m.max(v.abs()));
+    let last_row_wrong = rows.len() == 4 && rows[3] != [0.0, 0.0, 0.0, 1.0];
+    if !rotation.is_finite() || !center.is_finite() || last_row_wrong {
+        return no_pose("is no rigid transform");
+    }
+    if off > 1e-2 || rotation.determinant() <= 0.0 {
+        return no_pose("has no rotation in its first three columns (scaled or mirrored)");
+    }
+    // Rounded numbers in the file: the nearest rotation is taken. y and z change sign between the axes.
+    let rotation = DMat3::from_quat(DQuat::from_mat3(&rotation).normalize());
+    let world_from_cam = DMat3::from_cols(rotation.x_axis, -rotation.y_axis, -rotation.z_axis);
+    let cam_from_world = world_from_cam.transpose();
+    Ok(DAffine3::from_mat3_translation(
+        cam_from_world,
+        -(cam_from_world * center),
+    ))
+}

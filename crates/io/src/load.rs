@@ -1,0 +1,305 @@
+//! Reads the files of a plan and brings them to one size.
+
+use std::path::{Path, PathBuf};
+
+use crate::error::list_names;
+use crate::folder::{PICTURES, list};
+use crate::npy::read_npy;
+use crate::picture::{read_depth_png, read_image, read_map};
+use crate::plan::{DepthFile, Plan, PlannedFrame, PlannedView};
+use crate::resample::{
+    resize_camera, resize_nearest, shrink_camera, shrink_depth, shrink_image, shrink_map,
+};
+use crate::{Frame, Image, IoError, LoadOptions, Map, Scene, View};
+
+/// The scene of a plan that `layout` made.
+pub(crate) fn load(
+    root: PathBuf,
+    layout: &'static str,
+    mut plan: Plan,
+    options: &LoadOptions,
+) -> Result<Scene, IoError> {
+    let stems: Vec<_> = plan.frames.iter().map(|f| f.view.name.clone()).collect();
+    let mut loader = Loader {
+        factor: options.downscale,
+        size: None,
+        inverted_masks: plan.inverted_masks,
+        largest_mask: 0.0,
+        notes: plan.notes,
+    };
+    if let Some(other) = &options.images {
+        let folder = root.join(other);
+        loader.note(format!(
+            "training frames are taken from {}",
+            folder.display()
+        ));
+        let advice = "the other folder needs a picture for each training frame";
+        let images = list(&folder, PICTURES)?.pick(&stems, &folder, "frames", advice)?;
+        for (frame, image) in plan.frames.iter_mut().zip(images) {
+            frame.view.image = image;
+        }
+    }
+    if options.static_scene {
+        loader.note("static scene asked for: masks and tracks are not read".into());
+        plan.frames.iter_mut().for_each(|f| f.mask = None);
+    }
+    let has_depth: fn(&PlannedFrame) -> bool = |f| f.depth.is_some();
+    let has_mask: fn(&PlannedFrame) -> bool = |f| f.mask.is_some();
+    all_or_none(&plan.frames, has_depth, "the depth", &plan.depth_at)?;
+    all_or_none(&plan.frames, has_mask, "the mask", &plan.masks_at)?;
+    let tracks = if options.static_scene {
+        None
+    } else {
+        plan.tracks.read(&stems, options.downscale)?
+    };
+
+    let mut frames = Vec::with_capacity(plan.frames.len());
+    for planned in &plan.frames {
+        frames.push(loader.frame(planned)?);
+    }
+    let mut test = Vec::with_capacity(plan.test.len());
+    for planned in &plan.test {
+        test.push(loader.view(planned, read_image(&planned.image)?)?);
+    }
+
+    let mut notes = loader.notes;
+    settle_masks(&mut frames, loader.largest_mask, &mut notes);
+    let masked = frames.iter().any(|f| f.mask.is_some());
+    if masked && tracks.is_none() {
+        return Err(IoError::MasksWithoutTracks {
+            masks: plan.masks_at,
+            tracks: plan.tracks.folder,
+        });
+    }
+    if tracks.is_some() && !masked {
+        notes.push("there are tracks but no masks that say what moves".into());
+    }
+    Ok(Scene {
+        name: root
+            .file_name()
+            .map_or_else(|| "scene".into(), |n| n.to_string_lossy().into_owned()),
+        root,
+        layout,
+        downscale: options.downscale,
+        frames,
+        test,
+        points: plan.points,
+        tracks,
+        notes,
+    })
+}
+
+/// That some frames have a file of this kind and others not is an error.
+fn all_or_none(
+    frames: &[PlannedFrame],
+    has: fn(&PlannedFrame) -> bool,
+    what: &str,
+    place: &Path,
+) -> Result<(), IoError> {
+    let without = frames.iter().filter(|f| !has(f));
+    let without: Vec<_> = without.map(|f| f.view.name.as_str()).collect();
+    if without.is_empty() || without.len() == frames.len() {
+        return Ok(());
+    }
+    let what = format!("{what} of {}", list_names(&without));
+    let advice = "every training frame needs its own, or none has any";
+    Err(IoError::missing(place, what, advice))
+}
+
+/// Masks that are empty in every frame count as none; masks stored as 0 and 1 of 255 are stretched; in
+/// masks that hold small numbers (of instances, say) everything above 0 moves.
+fn settle_masks(frames: &mut [Frame], largest: f32, notes: &mut Vec<String>) {
+    const ONE_STEP: f32 = 1.0 / 255.0;
+    if frames.iter().all(|f| f.mask.is_none()) {
+        return;
+    }
+    if largest < 0.5 * ONE_STEP {
+        notes.push("the masks are empty in every frame: nothing moves".into());
+        for frame in frames {
+            frame.mask = None;
+        }
+        return;
+    }
+    let settle: &dyn Fn(f32) -> f32 = if largest < 1.5 * ONE_STEP {
+        notes.push("the masks hold 0 and 1 of 255: read as 0 and 255".into());
+        &|value| value / largest
+    } else if largest <= 0.5 {
+        notes.push(format!(
+            "the masks' largest value is {:.0} of 255: read as numbers of instances, all above 0 moves",
+            255.0 * largest
+        ));
+        &|value| f32::from(value >= 0.5 * ONE_STEP)
+    } else {
+        return;
+    };
+    for mask in frames.iter_mut().filter_map(|f| f.mask.as_mut()) {
+        for value in &mut mask.values {
+            *value = settle(*value);
+        }
+    }
+}
+
+/// Reads files and makes them smaller.
+struct Loader {
+    factor: usize,
+    /// Size of the training frames' files, (width, height), from the first one.
+    size: Option<(usize, usize)>,
+    inverted_masks: bool,
+    /// Largest value of all masks at their own size.
+    largest_mask: f32,
+    notes: Vec<String>,
+}
+
+impl Loader {
+    /// Many files have the same to tell: it is told once.
+    fn note(&mut self, text: String) {
+        if !self.notes.contains(&text) {
+            self.notes.push(text);
+        }
+    }
+
+    fn frame(&mut self, planned: &PlannedFrame) -> Result<Frame, IoError> {
+        let path = &planned.view.image;
+        let image = read_image(path)?;
+        let found = (image.width, image.height);
+        let size = *self.size.get_or_insert(found);
+        if found != size {
+            return Err(IoError::size(path, "the picture", found, size));
+        }
+        let view = self.view(&planned.view, image)?;
+        let depth = planned.depth.as_ref();
+        let depth = depth.map(|file| self.depth(file, size)).transpose()?;
+        let mask = planned.mask.as_ref();
+        let mask = mask.map(|path| self.mask(path, size)).transpose()?;
+        Ok(Frame { view, depth, mask })
+    }
+
+    /// A view of any size.
+    fn view(&mut self, planned: &PlannedView, image: Image) -> Result<View, IoError> {
+        let (width, height) = (image.width, image.height);
+        if self.factor > width.min(height) {
+            let what = format!(
+                "downscale {} leaves nothing of {width}x{height}",
+                self.factor
+            );
+            return Err(IoError::invalid(&planned.image, what));
+        }
+        let (w, h) = (width % self.factor, height % self.factor);
+        if (w, h) != (0, 0) {
+            self.note(format!(
+                "{width}x{height} is no multiple of {}: cropped to {}x{} at the right and bottom",
+                self.factor,
+                width - w,
+                height - h
+            ));
+        }
+        let mut camera = planned.camera.clone();
+        if (camera.width, camera.height) != (width, height) {
+            let scale_x = width as f64 / camera.width as f64;
+            let scale_y = height as f64 / camera.height as f64;
+            // A side rounded to whole pixels may be off by one.
+            let tolerance = 1.0 / width.min(height) as f64 + 1e-9;
+            if (scale_x / scale_y - 1.0).abs() > tolerance {
+                let what = format!(
+                    "the picture has another aspect ratio than its camera in {}; it",
+                    planned.camera_file.display()
+                );
+                let of_camera = (camera.width, camera.height);
+                let found = (width, height);
+                return Err(IoError::size(&planned.image, what, found, of_camera));
+            }
+            camera = resize_camera(&camera, width, height);
+            self.note(format!(
+                "intrinsics were scaled to the pictures' size {width}x{height}"
+            ));
+        }
+        Ok(View {
+            name: planned.name.clone(),
+            camera: shrink_camera(&camera, self.factor),
+            cam_from_world: planned.cam_from_world,
+            time: planned.time,
+            image: shrink_image(image, self.factor),
+        })
+    }
+
+    /// z-depth of the training frames' `size`, shrunk.
+    fn depth(&mut self, file: &DepthFile, size: (usize, usize)) -> Result<Map, IoError> {
+        let (DepthFile::Disparity(path) | DepthFile::Depth { path, .. }) = file;
+        let is_array = path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("npy"));
+        let mut map = if is_array {
+            read_array_map(path)?
+        } else {
+            read_depth_png(path)?
+        };
+        if let Some(at) = map.values.iter().position(|v| v.is_nan()) {
+            let (x, y) = (at % map.width, at / map.width);
+            let what = format!("the value at column {x}, row {y},");
+            return Err(IoError::not_a_number(path, what));
+        }
+        for value in &mut map.values {
+            let v = f64::from(*value);
+            let z = match file {
+                DepthFile::Disparity(_) => 1.0 / v,
+                DepthFile::Depth { scale, .. } => v * scale,
+            } as f32;
+            *value = if v > 0.0 && z.is_finite() && z > 0.0 {
+                z
+            } else {
+                0.0
+            };
+        }
+        let found = (map.width, map.height);
+        if found != size {
+            // A sensor's depth has its own size; an estimator's was made from the picture.
+            let same_aspect = found.0 * size.1 == found.1 * size.0;
+            if matches!(file, DepthFile::Disparity(_)) || !same_aspect {
+                return Err(IoError::size(path, "the depth", found, size));
+            }
+            map = resize_nearest(&map, size.0, size.1);
+            let (width, height) = size;
+            self.note(format!(
+                "depth was resized to {width}x{height} (nearest neighbour)"
+            ));
+        }
+        Ok(shrink_depth(map, self.factor))
+    }
+
+    /// A mask of the training frames' `size`, 1 where something moves, shrunk.
+    fn mask(&mut self, path: &Path, size: (usize, usize)) -> Result<Map, IoError> {
+        let mut map = read_map(path)?;
+        let found = (map.width, map.height);
+        if found != size {
+            return Err(IoError::size(path, "the mask", found, size));
+        }
+        for value in &mut map.values {
+            if self.inverted_masks {
+                *value = if *value > 0.0 { 0.0 } else { 1.0 };
+            }
+            self.largest_mask = self.largest_mask.max(*value);
+        }
+        Ok(shrink_map(map, self.factor))
+    }
+}
+
+/// An array [H, W] as a map; sides of length 1 around it do not matter.
+fn read_array_map(path: &Path) -> Result<Map, IoError> {
+    let array = read_npy(path)?;
+    let sides: Vec<_> = if array.shape.len() == 2 {
+        array.shape.clone()
+    } else {
+        array.shape.iter().copied().filter(|&s| s != 1).collect()
+    };
+    match sides[..] {
+        [height, width] if height > 0 && width > 0 => Ok(Map {
+            width,
+            height,
+            values: array.values,
+        }),
+        _ => Err(IoError::malformed(
+            path,
+            format!("the array has shape {:?}; [H, W] is expected", array.shape),
+        )),
+    }
+}

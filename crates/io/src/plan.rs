@@ -1,0 +1,112 @@
+//! Between the layouts and the loader: what a layout says of itself, and what it finds out about a folder
+//! before any picture is read.
+
+use std::path::{Path, PathBuf};
+
+use glam::DAffine3;
+use splat_core::Camera;
+
+use crate::tracks::TrackFiles;
+use crate::{IoError, LoadOptions, SparsePoint};
+
+/// A way to lay a scene out in a folder.
+pub(crate) struct Layout {
+    /// Its name in messages and in [`Scene::layout`](crate::Scene::layout).
+    pub(crate) name: &'static str,
+    /// What makes a folder one of these when all of it is there; folders end in a slash.
+    pub(crate) looks_for: &'static [&'static str],
+    /// Says where everything is in such a folder.
+    pub(crate) plan: fn(&Path, &LoadOptions) -> Result<Plan, IoError>,
+}
+
+impl Layout {
+    /// What of [`Self::looks_for`] is there.
+    pub(crate) fn found(&self, root: &Path) -> impl Iterator<Item = &'static str> {
+        self.looks_for.iter().copied().filter(|part| {
+            let path = root.join(part);
+            if part.ends_with('/') {
+                path.is_dir()
+            } else {
+                path.is_file()
+            }
+        })
+    }
+
+    pub(crate) fn recognises(&self, root: &Path) -> bool {
+        self.found(root).count() == self.looks_for.len()
+    }
+}
+
+/// A scene before its pictures are read. Frames are in time order.
+pub(crate) struct Plan {
+    pub(crate) frames: Vec<PlannedFrame>,
+    pub(crate) test: Vec<PlannedView>,
+    pub(crate) points: Vec<SparsePoint>,
+    /// Where the depth and the masks are from, for messages.
+    pub(crate) depth_at: PathBuf,
+    pub(crate) masks_at: PathBuf,
+    /// Masks are black where something moves, and anything else is white.
+    pub(crate) inverted_masks: bool,
+    pub(crate) tracks: TrackFiles,
+    pub(crate) notes: Vec<String>,
+}
+
+/// A view before its picture is read. The camera may be for another size of the picture.
+pub(crate) struct PlannedView {
+    pub(crate) name: String,
+    pub(crate) image: PathBuf,
+    pub(crate) camera: Camera,
+    /// The file that the camera is from, for messages.
+    pub(crate) camera_file: PathBuf,
+    pub(crate) cam_from_world: DAffine3,
+    pub(crate) time: f32,
+}
+
+/// A training frame before its files are read. A layout need not care that all frames have a file or
+/// none: the loader does.
+pub(crate) struct PlannedFrame {
+    pub(crate) view: PlannedView,
+    pub(crate) depth: Option<DepthFile>,
+    pub(crate) mask: Option<PathBuf>,
+}
+
+/// Where a frame's depth is.
+pub(crate) enum DepthFile {
+    /// An array of disparity, of the picture's size.
+    Disparity(PathBuf),
+    /// A 16-bit PNG or an array, in units of `scale` scene units, of any size.
+    Depth { path: PathBuf, scale: f64 },
+}
+
+/// The time, in training frames, of an instant among the training frames' own (ascending), clamped to
+/// them.
+pub(crate) fn time_between(instant: f64, training: &[f64]) -> f32 {
+    let after = training.partition_point(|&t| t < instant);
+    if after == 0 || after == training.len() {
+        return after.min(training.len().saturating_sub(1)) as f32;
+    }
+    let (a, b) = (training[after - 1], training[after]);
+    ((after - 1) as f64 + (instant - a) / (b - a)) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn instants_lie_between_their_neighbours_and_within_the_video() {
+        let training = [0.0, 2.0, 4.0, 10.0];
+        for (instant, time) in [
+            (-1.0, 0.0),
+            (0.0, 0.0),
+            (2.0, 1.0),
+            (3.0, 1.5),
+            (8.5, 2.75),
+            (10.0, 3.0),
+            (11.0, 3.0),
+        ] {
+            assert_eq!(time_between(instant, &training), time, "{instant}");
+        }
+        assert_eq!(time_between(3.0, &[5.0]), 0.0, "a single frame");
+    }
+}
