@@ -11,18 +11,38 @@ pub use property::{property, uniform};
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use std::error::Error;
+use std::io::Write as _;
 
 /// Every backend that is compiled in, by the name `--backend` gives it.
 ///
-/// Each test of tensor code runs on every entry of this list.
+/// Each test of tensor code runs on every entry of this list. The environment variable `LIMPID_BACKENDS`, names with commas
+/// between them, leaves the others out.
+///
+/// # Panics
+/// Panics where none is left.
 #[must_use]
 pub fn devices() -> Vec<(&'static str, Device)> {
-    vec![
+    let mut devices = vec![
         #[cfg(feature = "flex")]
         ("flex", Device::flex()),
         #[cfg(feature = "ndarray")]
         ("ndarray", ndarray()),
-    ]
+    ];
+    if let Ok(wanted) = std::env::var("LIMPID_BACKENDS") {
+        devices.retain(|(name, _)| wanted.split(',').any(|w| w == *name));
+        assert!(
+            !devices.is_empty(),
+            "no backend of LIMPID_BACKENDS={wanted} is compiled in"
+        );
+    }
+    devices
+}
+
+/// Says that a test, or a part of it, could not run and why: on a line of its own past the test harness, which would keep it.
+/// `cargo xtask ci` counts these lines.
+pub fn skipped(test: &str, why: &str) {
+    let line = format!("skipped: {test}: {why}\n");
+    std::io::stderr().write_all(line.as_bytes()).ok();
 }
 
 #[cfg(feature = "ndarray")]

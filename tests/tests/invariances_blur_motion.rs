@@ -179,7 +179,7 @@ fn six_numbers(u: &mut Unstructured<'_>) -> Result<[f64; 6]> {
 
 /// The rotation whose first column is `x` and whose third lies along `x` x `a2`.
 fn frame(x: DVec3, a2: DVec3) -> DMat3 {
-    let z = x.cross(a2).normalize();
+    let z = x.cross(a2).normalize_or_zero();
     DMat3::from_cols(x, z.cross(x), z)
 }
 
@@ -224,8 +224,13 @@ fn six_numbers_give_a_rotation_that_follows_them_or_the_documented_axis() {
                 // As documented, with the part of a2 across a1 relative to |a2| or, for the shortest,
                 // to 1e-12.
                 let a1_counts = a1.length() > 1e-12;
-                let x = if a1_counts { a1.normalize() } else { DVec3::X };
-                let part = x.cross(a2.normalize()).length() * (a2.length() / 1e-12).min(1.0);
+                let x = if a1_counts {
+                    a1.normalize_or_zero()
+                } else {
+                    DVec3::X
+                };
+                let part =
+                    x.cross(a2.normalize_or_zero()).length() * (a2.length() / 1e-12).min(1.0);
                 let a2_counts = part > 1e-6;
                 let axis = if x.y * x.y > 0.8 { DVec3::Z } else { DVec3::Y };
                 // Vectors and cross product have a few roundings each; they turn the cross product
@@ -240,7 +245,7 @@ fn six_numbers_give_a_rotation_that_follows_them_or_the_documented_axis() {
                 }
                 let second = if a2_counts { a2 } else { axis };
                 let expected = frame(x, second);
-                let sine = x.cross(second.normalize()).length();
+                let sine = x.cross(second.normalize_or_zero()).length();
                 assert!(
                     found.abs_diff_eq(expected, roundings / sine),
                     "not {expected}: {what}"

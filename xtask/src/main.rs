@@ -6,8 +6,10 @@
 
 use std::env;
 use std::ffi::{OsStr, OsString};
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
-use std::process::{Command, ExitCode};
+use std::process::{Command, ExitCode, Stdio};
+use std::time::Instant;
 
 const HELP: &str = "\
 cargo xtask COMMAND
@@ -18,11 +20,14 @@ cargo xtask COMMAND
                  grow; writes tables, JSON and plots to out/bench/
                  (cargo xtask bench --help lists the arguments)
   numerics       measure f32 against f64 and write docs/NUMERICS.md
+  bless          train the golden picture of the tests again, and keep it
   fmt            check the formatting
   clippy         lint; a warning is an error
   doc            build the documentation; a warning is an error
-  test [ARGS]    cargo test --workspace
-  ci             fmt, clippy, doc and test, one after the other
+  bare           test splat-core without Burn
+  test           all tests: cargo test --workspace
+  ndarray        the tests of tensor code on the second CPU backend
+  ci             fmt, clippy, doc, bare, test and ndarray, one after the other
 ";
 
 /// What `numerics` starts.
@@ -43,9 +48,20 @@ const BENCH: [&[&str]; 2] = [
     &["run", "--package", "limpid-bench", "--"],
 ];
 
-/// The steps of `ci` by name, as cargo's arguments.
-const STEPS: [(&str, &[&str]); 4] = [
-    ("fmt", &["fmt", "--all", "--check"]),
+/// What `bless` starts.
+const BLESS: [&str; 4] = ["test", "--workspace", "--test", "golden"];
+
+/// A step of `ci`: its name, cargo's arguments, and a variable of the environment.
+type Step = (
+    &'static str,
+    &'static [&'static str],
+    (&'static str, &'static str),
+);
+
+/// The steps of `ci`, in their order. Always the whole workspace: with `--package`, cargo would give the crates below Burn
+/// other features, and compile it again.
+const STEPS: [Step; 6] = [
+    ("fmt", &["fmt", "--all", "--check"], NOTHING),
     (
         "clippy",
         &[
@@ -56,35 +72,59 @@ const STEPS: [(&str, &[&str]); 4] = [
             "-D",
             "warnings",
         ],
+        NOTHING,
     ),
-    ("doc", &["doc", "--workspace", "--no-deps"]),
-    ("test", &["test", "--workspace"]),
+    (
+        "doc",
+        &["doc", "--workspace", "--no-deps"],
+        ("RUSTDOCFLAGS", "-D warnings"),
+    ),
+    (
+        "bare",
+        &["test", "--package", "splat-core", "--no-default-features"],
+        NOTHING,
+    ),
+    ("test", &["test", "--workspace"], NOTHING),
+    (
+        "ndarray",
+        &[
+            "test",
+            "--workspace",
+            "--features",
+            "limpid-tests/ndarray",
+            "--test",
+            "*",
+        ],
+        ("LIMPID_BACKENDS", "ndarray"),
+    ),
 ];
+
+/// No variable of the environment.
+const NOTHING: (&str, &str) = ("", "");
+
+/// What a test prints, alone on a line, where it cannot run.
+const SKIPPED: &str = "skipped: ";
 
 fn main() -> ExitCode {
     let mut args = env::args_os().skip(1);
     let command = args.next();
     let rest: Vec<OsString> = args.collect();
-    let step = |name: &str| {
-        let (_, args) = STEPS.iter().find(|(step, _)| *step == name)?;
-        Some(cargo_in_root(args))
-    };
+    let step = |name: &str| STEPS.iter().find(|(step, ..)| *step == name);
     match command.as_deref().and_then(OsStr::to_str) {
         Some("train") => become_command(train(&rest)),
         Some("bench") => bench(&rest),
         Some("numerics") => become_command(cargo_in_root(&NUMERICS)),
-        Some("ci") => STEPS
-            .iter()
-            .try_for_each(|(_, args)| wait(cargo_in_root(args)))
-            .map_or_else(|code| code, |()| ExitCode::SUCCESS),
+        Some("bless") => {
+            let mut golden = cargo_in_root(&BLESS);
+            golden.env("LIMPID_BLESS", "1");
+            become_command(golden)
+        }
+        Some("ci") => ci(&STEPS),
         Some("help" | "--help" | "-h") => {
             eprint!("{HELP}");
             ExitCode::SUCCESS
         }
-        Some(name) if let Some(mut command) = step(name) => {
-            command.args(&rest);
-            become_command(command)
-        }
+        Some(name) if let Some(step) = step(name) => ci(std::slice::from_ref(step)),
         _ => {
             eprint!("{HELP}");
             ExitCode::from(2)
@@ -119,12 +159,58 @@ fn train(args: &[OsString]) -> Command {
     command
 }
 
+/// Runs steps one after the other, and says at the end what tests could not run.
+fn ci(steps: &[Step]) -> ExitCode {
+    let mut skipped = Vec::new();
+    for (name, args, (variable, value)) in steps {
+        let mut command = cargo_in_root(args);
+        if !variable.is_empty() {
+            command.env(variable, value);
+        }
+        let started = Instant::now();
+        eprintln!("ci: {name}: cargo {}", args.join(" "));
+        match watch(command, &mut skipped) {
+            Ok(()) => eprintln!("ci: {name} passed in {} s", started.elapsed().as_secs()),
+            Err(code) => {
+                eprintln!("ci: {name} failed");
+                return code;
+            }
+        }
+    }
+    eprintln!("ci: {} checks skipped on this machine", skipped.len());
+    for line in skipped {
+        eprintln!("ci: {line}");
+    }
+    ExitCode::SUCCESS
+}
+
+/// Runs a step, shows its standard error, and keeps the lines of it that say what was skipped.
+fn watch(mut command: Command, skipped: &mut Vec<String>) -> Result<(), ExitCode> {
+    let started = command.stderr(Stdio::piped()).spawn();
+    let mut child = started.map_err(|error| could_not_start(&command, &error))?;
+    for line in child
+        .stderr
+        .take()
+        .into_iter()
+        .flat_map(|e| BufReader::new(e).lines())
+    {
+        let Ok(line) = line else { break };
+        eprintln!("{line}");
+        if line.starts_with(SKIPPED) {
+            skipped.push(line);
+        }
+    }
+    match child.wait() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(exit_code(status.code())),
+        Err(error) => Err(could_not_start(&command, &error)),
+    }
+}
+
 /// Times the kernels, unless `args` ask for something else than the whole run, and then iterations.
 fn bench(args: &[OsString]) -> ExitCode {
     let [kernels, iterations] = BENCH.map(cargo_in_root);
     if args.is_empty() {
-        let mut kernels = kernels;
-        kernels.env("CRITERION_HOME", root().join("out/bench/criterion"));
         if let Err(code) = wait(kernels) {
             return code;
         }
@@ -164,9 +250,6 @@ fn cargo() -> Command {
 fn cargo_in_root(args: &[&str]) -> Command {
     let mut command = cargo();
     command.args(args).current_dir(root());
-    if args[0] == "doc" {
-        command.env("RUSTDOCFLAGS", "-D warnings");
-    }
     command
 }
 

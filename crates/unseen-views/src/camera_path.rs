@@ -54,7 +54,7 @@ pub fn perpendicular_pose(a: &DAffine3, b: &DAffine3, offset: f64) -> DAffine3 {
     let across = if baseline.length() > noise {
         baseline.try_normalize().and_then(|baseline| {
             let normal = view.cross(baseline);
-            (normal.length() > MIN_SINE).then(|| normal.normalize())
+            (normal.length() > MIN_SINE).then(|| normal.normalize_or_zero())
         })
     } else {
         None
