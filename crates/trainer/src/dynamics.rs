@@ -5,7 +5,7 @@ use crate::TrainError;
 use crate::adam::{AdamState, AdamStep, LearningRate, adam_step, finite_gradient};
 use crate::lifting::lift_tracks;
 use crate::neighbors::{Neighbors, mean_neighbor_distances};
-use crate::placement::{Seeds, depth_edges, lift, pixel_color};
+use crate::placement::{Seeds, lift, pixel_color};
 use crate::random::{Purpose, derived_seed, generator, sample};
 use crate::settings::Settings;
 use crate::tensors::{host, leaf};
@@ -14,6 +14,7 @@ use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DMat3, DVec3};
 use io::Scene;
 use motion_bases::{FitCamera, FitData, InitOptions, MotionBases, fit_loss, initialize};
+use unseen_views::depth_edges;
 
 /// Tracks lie on a grid, so that few are needed: from this many visible ones on, Gaussians are placed
 /// on those alone that are visible in the canonical frame, as in the paper.
@@ -271,7 +272,7 @@ fn dynamic_pixels(frame: &io::Frame, settings: &Settings) -> Vec<usize> {
     let (Some(depth), Some(mask)) = (&frame.depth, &frame.mask) else {
         return Vec::new();
     };
-    let edge = depth_edges(depth, settings.gaussians.depth_edge);
+    let edge = depth_edges(&depth.values, depth.width, settings.gaussians.depth_edge);
     (0..mask.values.len())
         .filter(|&i| mask.values[i] > 0.5 && depth.values[i] > 0.0 && !edge[i])
         .collect()

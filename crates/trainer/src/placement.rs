@@ -5,6 +5,7 @@ use crate::random::{Purpose, generator, sample};
 use crate::settings::GaussianSettings;
 use glam::{DVec2, DVec3};
 use io::{Frame, Map, Scene};
+use unseen_views::depth_edges;
 
 /// Gaussians before they are tensors: isotropic, without rotation.
 #[derive(Clone, Debug, Default)]
@@ -104,7 +105,7 @@ pub(crate) fn pixel_color(frame: &Frame, i: usize) -> [f32; 3] {
 fn static_pixels(frame: &Frame, depth: &Map, settings: &GaussianSettings) -> Vec<usize> {
     let margin = pixels_at_256(settings.mask_margin, depth.width);
     let moving = frame.mask.as_ref().map(|m| dilate(m, margin, 0.02));
-    let edge = depth_edges(depth, settings.depth_edge);
+    let edge = depth_edges(&depth.values, depth.width, settings.depth_edge);
     let chosen = (0..depth.values.len())
         .filter(|&i| depth.values[i] > 0.0 && !edge[i] && moving.as_ref().is_none_or(|m| !m[i]));
     chosen.collect()
@@ -137,27 +138,6 @@ pub(crate) fn dilate(map: &Map, radius: usize, threshold: f32) -> Vec<bool> {
     out
 }
 
-/// Pixels whose depth differs from a left, right, upper or lower neighbour's by more than `jump`, relatively.
-pub(crate) fn depth_edges(depth: &Map, jump: f64) -> Vec<bool> {
-    let (w, h) = (depth.width, depth.height);
-    let z = |x: usize, y: usize| f64::from(depth.values[y * w + x]);
-    let differs = |a: f64, b: f64| a > 0.0 && b > 0.0 && (a - b).abs() > jump * a.min(b);
-    let mut edge = vec![false; w * h];
-    for y in 0..h {
-        for x in 0..w {
-            if x + 1 < w && differs(z(x, y), z(x + 1, y)) {
-                edge[y * w + x] = true;
-                edge[y * w + x + 1] = true;
-            }
-            if y + 1 < h && differs(z(x, y), z(x, y + 1)) {
-                edge[y * w + x] = true;
-                edge[(y + 1) * w + x] = true;
-            }
-        }
-    }
-    edge
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -180,11 +160,5 @@ mod tests {
                 assert_eq!(grown[y * 7 + x], x.abs_diff(3) <= 2 && y.abs_diff(3) <= 2);
             }
         }
-    }
-
-    #[test]
-    fn edges_are_marked_on_both_sides_and_missing_depth_is_no_edge() {
-        let edge = depth_edges(&map(5, 1, vec![1.0, 1.02, 1.2, 0.0, 1.2]), 0.05);
-        assert_eq!(edge, vec![false, true, true, false, false]);
     }
 }

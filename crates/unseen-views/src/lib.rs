@@ -11,9 +11,11 @@
 mod camera_path;
 #[cfg(test)]
 mod cases;
+mod depth_edges;
 mod error;
 mod warp;
 
 pub use camera_path::{parallel_pose, perpendicular_pose};
+pub use depth_edges::depth_edges;
 pub use error::WarpError;
 pub use warp::{Source, WarpOptions, Warped, warp};

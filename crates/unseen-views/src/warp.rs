@@ -18,6 +18,7 @@
 //! Limits: a view enlarged by more than 2 has gaps between its points, and a gap shows what lies behind.
 
 use crate::WarpError;
+use crate::depth_edges::{depth_edges, has_depth};
 use glam::{DAffine3, DVec2};
 use splat_core::{Camera, CameraModel};
 
@@ -49,7 +50,7 @@ pub struct Source<'a> {
 pub struct WarpOptions {
     /// Exponent of the soft z-buffer over the view's whole depth range; 0 mixes near and far alike.
     pub sharpness: f64,
-    /// Relative depth jump between direct neighbours from which both are on a depth edge and are not
+    /// Relative jump of depth from which pixels are on a depth edge ([`depth_edges`]) and are not
     /// splatted: depth and colour of such pixels are mixed from both sides. Infinity keeps all.
     pub edge_jump: f64,
 }
@@ -172,13 +173,12 @@ fn points(
 ) -> Vec<Point> {
     let target_from_source = *target_cam_from_world * source.cam_from_world.inverse();
     let (width, height) = (source.camera.width, source.camera.height);
+    let on_edge = depth_edges(source.depth, width, edge_jump);
     let mut points = Vec::with_capacity(source.depth.len());
     for y in 0..height {
         for x in 0..width {
             let pixel = y * width + x;
-            if !has_depth(source.depth[pixel])
-                || on_edge(source.depth, width, height, (x, y), edge_jump)
-            {
+            if on_edge[pixel] || !has_depth(source.depth[pixel]) {
                 continue;
             }
             let center = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
@@ -199,25 +199,6 @@ fn points(
         }
     }
     points
-}
-
-fn has_depth(depth: f32) -> bool {
-    depth > 0.0 && depth.is_finite()
-}
-
-/// Whether depth jumps by more than `jump`, relative to the nearer side, to one of the four direct
-/// neighbours. A neighbour without depth is no edge.
-fn on_edge(depth: &[f32], width: usize, height: usize, (x, y): (usize, usize), jump: f64) -> bool {
-    let here = depth[y * width + x];
-    let jumps_to = |x: usize, y: usize| {
-        let there = depth[y * width + x];
-        let (near, far) = (f64::from(here.min(there)), f64::from(here.max(there)));
-        has_depth(there) && far - near > jump * near
-    };
-    (x > 0 && jumps_to(x - 1, y))
-        || (x + 1 < width && jumps_to(x + 1, y))
-        || (y > 0 && jumps_to(x, y - 1))
-        || (y + 1 < height && jumps_to(x, y + 1))
 }
 
 /// Each point's rank in the soft z-buffer, in [0, 1]: see the head of this file.
