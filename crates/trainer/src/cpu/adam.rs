@@ -143,7 +143,7 @@ impl<T: Real> Constants<T> {
         *moment1 = m;
         *moment2 = v;
         let root = v.sqrt() * self.corrections[1] + self.epsilon;
-        *param = *param - rate * (m * self.corrections[0] / root);
+        *param -= rate * (m * self.corrections[0] / root);
     }
 }
 
