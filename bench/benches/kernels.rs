@@ -11,8 +11,8 @@ use bpnet::{BlurField, BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, comp
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use glam::DAffine3;
-use limpid_bench::workload::{Blur, Workload, slices};
-use splat_core::cpu::{BackwardOptions, View, backward, project, rasterize};
+use limpid_bench::workload::{Blur, Workload};
+use splat_core::cpu::{BackwardOptions, Forward, View, backward, project, rasterize};
 use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
 use trainer::losses::ssim;
 
@@ -49,7 +49,7 @@ fn splatting(c: &mut Criterion) {
     for size in SIZES {
         let workload = workload(size);
         let g = workload.gaussians();
-        let splats = slices(&g);
+        let splats = g.slices();
         let view = View::new(&workload.camera(), &DAffine3::IDENTITY, 3);
         let v_output: Vec<f32> = values(size.0 * size.1 * 5, 3)
             .iter()
@@ -67,22 +67,26 @@ fn splatting(c: &mut Criterion) {
         });
         group.bench_function(BenchmarkId::new("backward", &name), |b| {
             b.iter(|| {
-                backward(
-                    black_box(&splats),
-                    &projection,
-                    &[],
-                    &raster.state,
-                    &v_output,
-                    BackwardOptions::default(),
-                )
+                let forward = Forward {
+                    splats: black_box(&splats),
+                    projection: &projection,
+                    features: &[],
+                    state: &raster.state,
+                };
+                backward(&forward, &v_output, BackwardOptions::default())
             });
         });
         group.bench_function(BenchmarkId::new("all", &name), |b| {
             b.iter(|| {
                 let projection = project(black_box(&splats), &view).expect("good Gaussians");
                 let raster = rasterize(&projection, &[], 0).expect("good Gaussians");
-                let options = BackwardOptions::default();
-                backward(&splats, &projection, &[], &raster.state, &v_output, options)
+                let forward = Forward {
+                    splats: &splats,
+                    projection: &projection,
+                    features: &[],
+                    state: &raster.state,
+                };
+                backward(&forward, &v_output, BackwardOptions::default())
             });
         });
         group.finish();

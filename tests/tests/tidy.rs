@@ -22,6 +22,7 @@ const ARROWS: [(&str, &[&str]); 11] = [
     (
         "limpid-tests",
         &[
+            "host",
             "splat-core",
             "motion-bases",
             "bpnet",

@@ -11,7 +11,7 @@ use bpnet::{Extractor, composite};
 use glam::DAffine3;
 use io::{Image, Map, Truth};
 use serde::{Deserialize, Serialize};
-use splat_core::{Camera, RenderOptions, Rendered, render};
+use splat_core::{Camera, Extra, Rendered, Viewpoint, render};
 
 /// Scores of a run, as `metrics.json` holds them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -148,18 +148,16 @@ impl Trainer {
         time: f32,
     ) -> Result<Rendered, TrainError> {
         let posed = model.pose(time);
-        let options = RenderOptions {
+        let viewpoint = Viewpoint {
+            camera: camera.clone(),
+            cam_from_world: pose_tensor(cam_from_world, &model.means),
             sh_degree: self.schedule.sh_degree_at(self.progress.iteration),
         };
-        let pose = pose_tensor(cam_from_world, &model.means);
-        Ok(render(
-            posed.splats,
-            pose,
-            camera,
-            &options,
-            posed.dynamic,
-            None,
-        )?)
+        let extra = Extra {
+            features: posed.dynamic,
+            screen_grad: None,
+        };
+        Ok(render(posed.splats, &viewpoint, extra)?)
     }
 
     /// A training view, sharp and as the model says that the camera saw it.

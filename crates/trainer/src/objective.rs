@@ -9,7 +9,7 @@ use bpnet::{
     BlurField, BlurInputs, BpNet, Composite, Extractor, cell_means, composite, kernel_center_loss,
 };
 use burn::tensor::Tensor;
-use splat_core::{RenderOptions, Rendered, render};
+use splat_core::{Extra, Rendered, Viewpoint, render};
 use tracing::trace_span;
 
 /// What a model shows of a view.
@@ -88,21 +88,17 @@ impl Trainer {
         screen_grad: Option<Tensor<1>>,
     ) -> Result<Shown, TrainError> {
         let posed = trace_span!("pose").in_scope(|| model.pose(view.time));
-        let camera = camera_of(&self.scene, view.frame, self.near());
-        let options = RenderOptions {
+        let viewpoint = Viewpoint {
+            camera: camera_of(&self.scene, view.frame, self.near()),
+            cam_from_world: view.pose(&model.means),
             sh_degree: self.schedule.sh_degree_at(it),
         };
-        let pose = view.pose(&model.means);
-        let rendered = trace_span!("render").in_scope(|| {
-            render(
-                posed.splats,
-                pose,
-                &camera,
-                &options,
-                posed.dynamic,
-                screen_grad,
-            )
-        })?;
+        let extra = Extra {
+            features: posed.dynamic,
+            screen_grad,
+        };
+        let rendered =
+            trace_span!("render").in_scope(|| render(posed.splats, &viewpoint, extra))?;
         let field = trace_span!("blur field")
             .in_scope(|| self.blur_field(model, it, view, blur_sees.unwrap_or(&rendered)))?;
         let sharp = rendered.color();

@@ -89,7 +89,7 @@ impl Trainer {
         };
         if let Some(norms) = norms {
             self.density
-                .accumulate(&host(norms), shown.rendered.radii());
+                .accumulate(&host(norms), &host(shown.rendered.radii()));
         }
         if let Some(shifts) = shifts {
             self.gauge.record(frame, shifts);

@@ -147,8 +147,9 @@ impl Trainer {
     /// Starts from these Gaussians, all of them static, in place of those that were placed.
     ///
     /// # Errors
-    /// There is none, training has begun, or their SH degree is not that of the settings.
+    /// There is none, their arrays do not fit each other, training has begun, or their SH degree is not that of the settings.
     pub fn start_from(&mut self, gaussians: &Gaussians) -> Result<(), TrainError> {
+        gaussians.check()?;
         let degree = self.settings.gaussians.sh_degree;
         if gaussians.is_empty() || self.progress.iteration > 0 || gaussians.sh_degree != degree {
             return Err(TrainError::Scene(format!(
