@@ -3,7 +3,7 @@
 use splat_core::cpu::{View, project};
 
 use crate::pairs::count_pairs;
-use crate::workload::{Blur, Workload, slices};
+use crate::workload::{Blur, Workload};
 
 /// Floating-point operations and bytes that have to be moved between memory and a core.
 #[derive(Clone, Copy, Debug, Default)]
@@ -35,7 +35,7 @@ impl Counts {
     #[must_use]
     pub fn new(workload: &Workload) -> Self {
         let g = workload.gaussians();
-        let splats = slices(&g);
+        let splats = g.slices();
         let view = View::new(&workload.camera(), &glam::DAffine3::IDENTITY, 3);
         let projection = project(&splats, &view).expect("the Gaussians of a workload are good");
         Self {

@@ -4,7 +4,6 @@ use glam::{DAffine3, DVec3};
 use io::{Frame, Image, Scene, SparsePoint, View};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
-use splat_core::cpu::SplatSlices;
 use splat_core::{Camera, Gaussians};
 use trainer::{Device, Settings, TrainError, Trainer};
 
@@ -155,19 +154,6 @@ impl Workload {
     #[must_use]
     pub fn first_full_iteration(&self) -> usize {
         if self.blur == Blur::Off { 4 } else { 101 }
-    }
-}
-
-/// Gaussians as the slice kernels take them.
-#[must_use]
-pub fn slices(gaussians: &Gaussians) -> SplatSlices<'_, f32> {
-    SplatSlices {
-        means: gaussians.means.as_flattened(),
-        quats: gaussians.quats.as_flattened(),
-        left_rotations: &[],
-        log_scales: gaussians.log_scales.as_flattened(),
-        opacity_logits: &gaussians.opacity_logits,
-        sh: &gaussians.sh,
     }
 }
 

@@ -6,7 +6,7 @@ use glam::{DAffine3, DQuat, DVec2, DVec3};
 use limpid_tests::{property, uniform};
 use nalgebra::DMatrix;
 use splat_core::Camera;
-use splat_core::cpu::{MIN_TRANSMITTANCE, Real, SplatSlices, View, project, rasterize};
+use splat_core::cpu::{Float, MIN_TRANSMITTANCE, SplatSlices, View, project, rasterize};
 
 /// Gaussians and a view of them.
 #[derive(Clone, Debug)]
@@ -143,8 +143,8 @@ impl Scene {
     }
 
     /// The image [H, W, 5 + F] in `T`, with features [N, F].
-    fn image<T: Real>(&self, features: &[f64]) -> Vec<f64> {
-        let cast = |values: Vec<f64>| -> Vec<T> { values.into_iter().map(T::of).collect() };
+    fn image<T: Float>(&self, features: &[f64]) -> Vec<f64> {
+        let cast = |values: Vec<f64>| -> Vec<T> { values.into_iter().map(T::from_f64).collect() };
         let flat = |vectors: &[DVec3]| {
             cast(
                 vectors
@@ -170,11 +170,11 @@ impl Scene {
         let num_features = features.len() / self.len();
         let raster = rasterize(&projection, &cast(features.to_vec()), num_features);
         let output = raster.expect("good features").output;
-        output.into_iter().map(T::to_f64).collect()
+        output.into_iter().map(T::into).collect()
     }
 
     /// The blending weights, [H, W, N], and alpha, [H, W].
-    fn weights<T: Real>(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
+    fn weights<T: Float>(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
         let n = self.len();
         let one_hot: Vec<f64> = (0..n * n)
             .map(|i| f64::from(u8::from(i / n == i % n)))

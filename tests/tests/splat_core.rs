@@ -4,7 +4,9 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use limpid_tests::{GradLimits, check_gradients, devices, noise, tensor, values};
 use splat_core::cpu::{SplatSlices, View, project, rasterize as rasterize_slices};
-use splat_core::{Camera, RenderOptions, SplatError, Splats, prepare, rasterize, render};
+use splat_core::{
+    Camera, Extra, Rendered, SplatError, Splats, Viewpoint, prepare, rasterize, render,
+};
 
 const N: usize = 5;
 const FEATURES: usize = 2;
@@ -62,7 +64,26 @@ fn splats(t: &[Tensor<2>]) -> Splats {
     }
 }
 
-const OPTIONS: RenderOptions = RenderOptions { sh_degree: 3 };
+fn view(t: &[Tensor<2>], sh_degree: usize) -> Viewpoint {
+    Viewpoint {
+        camera: camera(),
+        cam_from_world: t[6].clone(),
+        sh_degree,
+    }
+}
+
+/// The features to be blended.
+fn features(t: &[Tensor<2>]) -> Extra {
+    Extra {
+        features: Some(t[7].clone()),
+        screen_grad: None,
+    }
+}
+
+/// All inputs, with SH of degree 3 and features.
+fn render_all(t: &[Tensor<2>]) -> Rendered {
+    render(splats(t), &view(t, 3), features(t)).expect("a render")
+}
 
 /// Weights on the output's channels: those that `counts` names are random, the others zero.
 fn channel_weights(counts: &dyn Fn(usize) -> bool) -> Vec<f64> {
@@ -82,10 +103,7 @@ fn check_render(
     allow_zero: &[&str],
 ) {
     check_gradients(device, inputs, allow_zero, GradLimits::default(), |t| {
-        let options = RenderOptions { sh_degree };
-        let features = Some(t[7].clone());
-        let rendered =
-            render(splats(t), t[6].clone(), &camera(), &options, features, None).expect("a render");
+        let rendered = render(splats(t), &view(t, sh_degree), features(t)).expect("a render");
         let output = rendered.output().clone();
         let shape = [17, 19, 5 + FEATURES];
         (output.clone() * tensor(weights, shape, &output.device(), DType::F64)).sum()
@@ -124,8 +142,8 @@ fn gaussians_at_the_edge_of_the_view_have_the_right_gradients() {
             .iter()
             .map(|(_, shape, v)| tensor(v, *shape, &device, DType::F64))
             .collect();
-        let rendered = render(splats(&t), t[6].clone(), &camera(), &OPTIONS, None, None).unwrap();
-        let drawn: Vec<bool> = rendered.radii().iter().map(|r| *r > 0.0).collect();
+        let rendered = render(splats(&t), &view(&t, 3), Extra::default()).unwrap();
+        let drawn: Vec<bool> = values(rendered.radii()).iter().map(|r| *r > 0.0).collect();
         assert_eq!(drawn[..3], [true, false, true], "{name}");
     }
 }
@@ -139,15 +157,7 @@ fn slices_of_the_output_carry_gradients_too() {
             .map(Tensor::require_grad)
             .collect();
         let gradient = |whole: bool| {
-            let rendered = render(
-                splats(&t),
-                t[6].clone(),
-                &camera(),
-                &OPTIONS,
-                Some(t[7].clone()),
-                None,
-            )
-            .unwrap();
+            let rendered = render_all(&t);
             let loss = if whole {
                 rendered.output().clone().sum()
             } else {
@@ -187,32 +197,24 @@ fn tensors_and_slices_give_the_same_image() {
         sh_degree: 3,
     };
     let projection = project(&slices, &view).unwrap();
-    let expected = rasterize_slices(&projection, &inputs[7].2, FEATURES)
-        .unwrap()
-        .output;
+    let image = rasterize_slices(&projection, &inputs[7].2, FEATURES).unwrap();
     for (name, device) in devices() {
         for device in [device.clone(), device.autodiff()] {
             let t = tensors(&device, DType::F64);
-            let rendered = render(
-                splats(&t),
-                t[6].clone(),
-                &camera(),
-                &OPTIONS,
-                Some(t[7].clone()),
-                None,
-            )
-            .unwrap();
-            assert_eq!(values(rendered.output().clone()), expected, "{name}");
-            assert_eq!(rendered.radii(), projection.radii(), "{name}");
-            assert_eq!(rendered.num_visible(), N, "{name}");
+            let rendered = render_all(&t);
+            assert_eq!(values(rendered.output().clone()), image.output, "{name}");
+            let radii: Vec<f64> = projection.radii().iter().map(|&r| f64::from(r)).collect();
+            assert_eq!(values(rendered.radii()), radii, "{name}");
+            assert_eq!(projection.num_visible(), N, "{name}");
             assert_eq!(rendered.color().dims(), [17, 19, 3], "{name}");
             assert_eq!(rendered.alpha().dims(), [17, 19], "{name}");
-            let depth: Vec<f64> = expected.chunks_exact(7).map(|p| p[4]).collect();
+            let color: Vec<f64> = image.color().flatten().collect();
+            assert_eq!(values(rendered.color()), color, "{name}");
+            let alpha: Vec<f64> = image.alpha().collect();
+            assert_eq!(values(rendered.alpha()), alpha, "{name}");
+            let depth: Vec<f64> = image.depth().collect();
             assert_eq!(values(rendered.depth()), depth, "{name}");
-            let features: Vec<f64> = expected
-                .chunks_exact(7)
-                .flat_map(|p| p[5..].to_vec())
-                .collect();
+            let features: Vec<f64> = image.features().flatten().copied().collect();
             assert_eq!(values(rendered.features().unwrap()), features, "{name}");
         }
     }
@@ -222,15 +224,7 @@ fn tensors_and_slices_give_the_same_image() {
 fn layouts_that_are_not_contiguous_are_read_in_order() {
     for (name, device) in devices() {
         let t = tensors(&device, DType::F32);
-        let image = |t: &[Tensor<2>]| {
-            let features = Some(t[7].clone());
-            values(
-                render(splats(t), t[6].clone(), &camera(), &OPTIONS, features, None)
-                    .unwrap()
-                    .output()
-                    .clone(),
-            )
-        };
+        let image = |t: &[Tensor<2>]| values(render_all(t).output().clone());
         let turned: Vec<_> = t
             .iter()
             .map(|t| Tensor::<2>::from_data(t.clone().transpose().into_data(), &device).transpose())
@@ -254,15 +248,14 @@ fn untracked_inputs_get_no_gradient_and_the_screen_statistic_arrives() {
         let mut t = tensors(&device, DType::F32);
         t[0] = t[0].clone().require_grad();
         let screen = Tensor::<1>::zeros([N], (&device, DType::F32)).require_grad();
-        let prepared = prepare(&splats(&t), &t[6], &camera(), &OPTIONS).unwrap();
-        let rendered = rasterize(
-            &prepared,
-            splats(&t),
-            t[6].clone(),
-            None,
-            Some(screen.clone()),
-        )
-        .unwrap();
+        // Prepared without a graph: what is tracked is what is blended.
+        let plain: Vec<_> = t.iter().map(|t| t.clone().inner()).collect();
+        let prepared = prepare(&splats(&plain), &view(&plain, 3)).unwrap();
+        let extra = Extra {
+            features: None,
+            screen_grad: Some(screen.clone()),
+        };
+        let rendered = rasterize(&prepared, splats(&t), t[6].clone(), extra).unwrap();
         let grads = rendered.color().sum().backward();
         assert!(t[0].grad(&grads).is_some(), "{name}: means");
         for k in [1, 2, 3, 4, 5, 6] {
@@ -291,7 +284,12 @@ fn no_gaussian_and_one_pixel_render() {
             sh: empty(48),
         };
         let pose = tensors(&device, DType::F32)[6].clone().require_grad();
-        let rendered = render(none, pose.clone(), &camera(), &OPTIONS, None, None).unwrap();
+        let from = Viewpoint {
+            camera: camera(),
+            cam_from_world: pose.clone(),
+            sh_degree: 3,
+        };
+        let rendered = render(none, &from, Extra::default()).unwrap();
         assert!(
             values(rendered.output().clone()).iter().all(|v| *v == 0.0),
             "{name}"
@@ -300,8 +298,11 @@ fn no_gaussian_and_one_pixel_render() {
         assert_eq!(values(pose.grad(&grads).unwrap()), vec![0.0; 12], "{name}");
 
         let t = tensors(&device, DType::F32);
-        let pixel = Camera::pinhole(1, 1, 1.0, 1.0, 0.5, 0.5);
-        let rendered = render(splats(&t), t[6].clone(), &pixel, &OPTIONS, None, None).unwrap();
+        let pixel = Viewpoint {
+            camera: Camera::pinhole(1, 1, 1.0, 1.0, 0.5, 0.5),
+            ..view(&t, 3)
+        };
+        let rendered = render(splats(&t), &pixel, Extra::default()).unwrap();
         assert_eq!(rendered.output().dims(), [1, 1, 5], "{name}");
         assert!(values(rendered.alpha())[0] > 0.0, "{name}");
     }
@@ -311,9 +312,7 @@ fn no_gaussian_and_one_pixel_render() {
 fn bad_inputs_are_errors_that_say_which() {
     for (name, device) in devices() {
         let t = tensors(&device, DType::F32);
-        let fails = |splats: Splats, pose: &Tensor<2>, options: &RenderOptions| {
-            prepare(&splats, pose, &camera(), options).unwrap_err()
-        };
+        let fails = |splats: Splats| prepare(&splats, &view(&t, 3)).unwrap_err();
 
         let mut bad = splats(&t);
         let mut v = values(bad.log_scales.clone());
@@ -323,11 +322,11 @@ fn bad_inputs_are_errors_that_say_which() {
             tensor: "log_scales",
             row: 3,
         };
-        assert_eq!(fails(bad, &t[6], &OPTIONS), expected, "{name}");
+        assert_eq!(fails(bad), expected, "{name}");
 
         let mut bad = splats(&t);
         bad.quats = t[3].clone();
-        let message = fails(bad, &t[6], &OPTIONS).to_string();
+        let message = fails(bad).to_string();
         assert!(
             message.contains("quats") && message.contains("[5, 4]"),
             "{name}: {message}"
@@ -339,36 +338,45 @@ fn bad_inputs_are_errors_that_say_which() {
             active: 3,
             stored: 1,
         };
-        assert_eq!(fails(bad, &t[6], &OPTIONS), expected, "{name}");
+        assert_eq!(fails(bad), expected, "{name}");
 
-        let message = fails(splats(&t), &t[0], &OPTIONS).to_string();
+        let wrong = Viewpoint {
+            cam_from_world: t[0].clone(),
+            ..view(&t, 3)
+        };
+        let message = prepare(&splats(&t), &wrong).unwrap_err().to_string();
         assert!(message.contains("cam_from_world"), "{name}: {message}");
 
         let mut bad = splats(&t);
         bad.means = bad.means.cast(DType::F64);
-        let message = fails(bad, &t[6], &OPTIONS).to_string();
+        let message = fails(bad).to_string();
         assert!(
             message.contains("F64") && message.contains("F32"),
             "{name}: {message}"
         );
 
-        let prepared = prepare(&splats(&t), &t[6], &camera(), &OPTIONS).unwrap();
-        let features = t[7].clone().slice([0..N - 1, 0..FEATURES]);
-        let error = rasterize(&prepared, splats(&t), t[6].clone(), Some(features), None);
-        let message = error.unwrap_err().to_string();
-        assert!(message.contains("features"), "{name}: {message}");
-        let features = t[7].clone() / 0.0;
-        let error = rasterize(&prepared, splats(&t), t[6].clone(), Some(features), None);
-        assert!(
-            matches!(
-                error,
-                Err(SplatError::NotFinite {
-                    tensor: "features",
-                    row: 0
-                })
-            ),
-            "{name}: {error:?}"
-        );
+        // An op that is tracked refuses as one that is not.
+        for (tracked, device) in [(false, device.clone()), (true, device.autodiff())] {
+            let t: Vec<_> = tensors(&device, DType::F32)
+                .into_iter()
+                .map(|t| if tracked { t.require_grad() } else { t })
+                .collect();
+            let prepared = prepare(&splats(&t), &view(&t, 3)).unwrap();
+            let blend = |features: Tensor<2>| {
+                let extra = Extra {
+                    features: Some(features),
+                    screen_grad: None,
+                };
+                rasterize(&prepared, splats(&t), t[6].clone(), extra).unwrap_err()
+            };
+            let message = blend(t[7].clone().slice([0..N - 1, 0..FEATURES])).to_string();
+            assert!(message.contains("features"), "{name}: {message}");
+            let expected = SplatError::NotFinite {
+                tensor: "features",
+                row: 0,
+            };
+            assert_eq!(blend(t[7].clone() / 0.0), expected, "{name}");
+        }
     }
 }
 
@@ -380,16 +388,7 @@ fn a_gradient_that_is_not_finite_does_not_vanish_on_its_way_back() {
             .into_iter()
             .map(Tensor::require_grad)
             .collect();
-        let features = Some(t[7].clone());
-        let rendered = render(
-            splats(&t),
-            t[6].clone(),
-            &camera(),
-            &OPTIONS,
-            features,
-            None,
-        );
-        let rendered = rendered.expect("a render");
+        let rendered = render_all(&t);
         let grads = (rendered.color() * f64::NAN).sum().backward();
         for (index, (input, ..)) in inputs().into_iter().enumerate().take(7) {
             let gradient = values(t[index].grad(&grads).expect("every input is used"));

@@ -8,8 +8,8 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DVec3};
 use limpid_tests::devices;
 use safetensors::SafeTensors;
-use splat_core::cpu::{BackwardOptions, SplatSlices, View, backward, project, rasterize};
-use splat_core::{Camera, RenderOptions, Splats, pose_rows, render};
+use splat_core::cpu::{BackwardOptions, Forward, SplatSlices, View, backward, project, rasterize};
+use splat_core::{Camera, Extra, Splats, Viewpoint, render};
 
 const WIDTH: usize = 123;
 const HEIGHT: usize = 82;
@@ -118,7 +118,13 @@ fn slice_kernels_agree_with_gsplat() {
         view_direction: false,
         ..BackwardOptions::default()
     };
-    let g = backward(&splats, &projection, &[], &raster.state, &v_output, options).unwrap();
+    let forward = Forward {
+        splats: &splats,
+        projection: &projection,
+        features: &[],
+        state: &raster.state,
+    };
+    let g = backward(&forward, &v_output, options).unwrap();
     assert_gradient("means, direction constant", &g.means, &get("v_means"));
     assert_gradient("quats", &g.quats, &get("v_quats"));
     assert_gradient("log_scales", &g.log_scales, &get("v_scales"));
@@ -150,15 +156,14 @@ fn tensors_agree_with_gsplat() {
             opacity_logits: leaf(get("opacities"), 1),
             sh: leaf(get("coeffs"), 48),
         };
-        let pose = pose_rows(&cam_from_world()).map(|v| v as f32).to_vec();
         let screen = Tensor::<1>::zeros([4], (&device, DType::F32)).require_grad();
         let rendered = render(
             splats.clone(),
-            matrix(pose, 4, &device),
-            &camera(),
-            &RenderOptions { sh_degree: 3 },
-            None,
-            Some(screen.clone()),
+            &Viewpoint::new(&camera(), &cam_from_world(), 3, &device),
+            Extra {
+                screen_grad: Some(screen.clone()),
+                ..Extra::default()
+            },
         )
         .unwrap();
 

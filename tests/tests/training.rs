@@ -1,10 +1,10 @@
 //! Training end to end on the tiny scene.
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Device;
 use io::Scene;
 use limpid_tests::tiny::{camera, pose, scene, settings};
 use limpid_tests::{devices, in_pool, with_causes};
-use splat_core::{RenderOptions, Splats, pose_rows, render};
+use splat_core::{Extra, Splats, Viewpoint, render};
 use trainer::{BlurModel, Trainer};
 
 /// The bits of all parameters, and the losses, after `steps` iterations.
@@ -268,27 +268,11 @@ fn posed_gaussians_look_like_the_moving_scene() {
     let near = 0.01 * trainer.survey().scene_size;
     for time in [0.0, 2.5, 5.0] {
         let posed = trainer.model().gaussians(Some(time));
-        let n = posed.len();
-        let matrix = |values: &[f32], columns: usize| {
-            Tensor::<2>::from_data(TensorData::new(values.to_vec(), [n, columns]), &device)
-        };
-        let splats = Splats {
-            means: matrix(posed.means.as_flattened(), 3),
-            quats: matrix(posed.quats.as_flattened(), 4),
-            left_rotations: None,
-            log_scales: matrix(posed.log_scales.as_flattened(), 3),
-            opacity_logits: matrix(&posed.opacity_logits, 1),
-            sh: matrix(&posed.sh, 48),
-        };
-        let rows = Tensor::<2>::from_data(
-            TensorData::new(pose_rows(&pose(2.0)).to_vec(), [3, 4]),
-            &device,
-        );
+        let splats = Splats::new(&posed, &device).expect("Gaussians");
         let camera = camera().with_near(near);
-        let options = RenderOptions {
-            sh_degree: trainer.schedule().sh_degree_at(30),
-        };
-        let drawn = render(splats, rows, &camera, &options, None, None)
+        let degree = trainer.schedule().sh_degree_at(30);
+        let view = Viewpoint::new(&camera, &pose(2.0), degree, &device);
+        let drawn = render(splats, &view, Extra::default())
             .expect("a picture")
             .color();
         let drawn = drawn.try_into_vec_as::<f32>().expect("readable");

@@ -210,10 +210,10 @@ fn watch(mut command: Command, skipped: &mut Vec<String>) -> Result<(), ExitCode
 /// Times the kernels, unless `args` ask for something else than the whole run, and then iterations.
 fn bench(args: &[OsString]) -> ExitCode {
     let [kernels, iterations] = BENCH.map(cargo_in_root);
-    if args.is_empty() {
-        if let Err(code) = wait(kernels) {
-            return code;
-        }
+    if args.is_empty()
+        && let Err(code) = wait(kernels)
+    {
+        return code;
     }
     let mut iterations = iterations;
     iterations.args(args);

@@ -29,18 +29,10 @@ pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), IoError> {
         sh,
         sh_degree,
     } = gaussians;
+    gaussians
+        .check()
+        .map_err(|error| IoError::invalid(path, error.to_string()))?;
     let (n, num_sh) = (means.len(), (sh_degree + 1) * (sh_degree + 1));
-    let lengths = [quats.len(), log_scales.len(), opacity_logits.len()];
-    if *sh_degree > 3 || lengths != [n; 3] || sh.len() != n * num_sh * 3 {
-        return Err(IoError::invalid(
-            path,
-            format!(
-                "{n} means with {lengths:?} quaternions, scales, opacities and {} SH numbers of \
-                 degree {sh_degree} are no Gaussians",
-                sh.len()
-            ),
-        ));
-    }
     let names = property_names(*sh_degree);
     let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {n}\n");
     for name in &names {

@@ -60,12 +60,4 @@ pub enum SplatError {
         /// The type of the means.
         expected: String,
     },
-    /// The values could not be read from the device.
-    #[error("cannot read {tensor} from its device: {reason}")]
-    Read {
-        /// Name of the input.
-        tensor: &'static str,
-        /// What the backend said.
-        reason: String,
-    },
 }

@@ -1,6 +1,11 @@
 //! Plain arrays of Gaussians, as files and viewers hold them.
 
+use crate::cpu::SplatSlices;
+use crate::error::SplatError;
+
 /// A set of Gaussians in storage space (what the 3DGS PLY format holds).
+///
+/// The arrays are open to read and to edit. [`Self::check`] says whether they fit each other; all that take Gaussians ask it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
     /// Means in scene units, `[N]`.
@@ -28,5 +33,83 @@ impl Gaussians {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
+    }
+
+    /// These, if their arrays fit each other.
+    ///
+    /// # Errors
+    /// As [`Self::check`].
+    pub fn checked(self) -> Result<Self, SplatError> {
+        self.check()?;
+        Ok(self)
+    }
+
+    /// Whether all arrays have a row for each Gaussian, and SH coefficients of their degree.
+    ///
+    /// # Errors
+    /// Names the array that does not fit.
+    pub fn check(&self) -> Result<(), SplatError> {
+        self.slices().check(self.sh_degree)?;
+        let width = 3 * (self.sh_degree + 1).pow(2);
+        if self.sh.len() != self.len() * width {
+            return Err(SplatError::Shape {
+                tensor: "sh",
+                found: vec![self.sh.len()],
+                expected: format!("[{}, {width}]", self.len()),
+            });
+        }
+        Ok(())
+    }
+
+    /// As the slice kernels take them.
+    #[must_use]
+    pub fn slices(&self) -> SplatSlices<'_, f32> {
+        SplatSlices {
+            means: self.means.as_flattened(),
+            quats: self.quats.as_flattened(),
+            left_rotations: &[],
+            log_scales: self.log_scales.as_flattened(),
+            opacity_logits: &self.opacity_logits,
+            sh: &self.sh,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_array_that_does_not_fit_is_named() {
+        let good = Gaussians {
+            means: vec![[0.0; 3]; 2],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+            log_scales: vec![[0.0; 3]; 2],
+            opacity_logits: vec![0.0; 2],
+            sh: vec![0.0; 24],
+            sh_degree: 1,
+        };
+        assert_eq!(good.clone().checked(), Ok(good.clone()));
+        assert_eq!(Gaussians::default().check(), Ok(()));
+        type Edit = fn(&mut Gaussians);
+        let edits: [(&str, Edit); 8] = [
+            ("means", |g| g.means.truncate(1)),
+            ("quats", |g| g.quats.truncate(1)),
+            ("log_scales", |g| g.log_scales.clear()),
+            ("means", |g| g.opacity_logits.truncate(1)),
+            ("sh", |g| g.sh.truncate(23)),
+            ("sh", |g| g.sh_degree = 0),
+            ("SH degree 2", |g| g.sh_degree = 2),
+            ("SH degree 4", |g| g.sh_degree = 4),
+        ];
+        for (name, edit) in edits {
+            let mut bad = good.clone();
+            edit(&mut bad);
+            let message = bad.checked().unwrap_err().to_string();
+            assert!(message.contains(name), "{name}: {message}");
+        }
+        let mut bad = Gaussians::default();
+        bad.sh.push(0.0);
+        assert!(bad.check().is_err(), "coefficients of no Gaussian");
     }
 }

@@ -76,5 +76,5 @@ pub use settings::Settings;
 pub use step::StepReport;
 pub use survey::{Survey, survey};
 pub use trainer::Trainer;
-pub use views::{Viewpoint, Views};
+pub use views::{CameraView, Views};
 pub use world::{MotionModel, Posed, World};

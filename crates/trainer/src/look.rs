@@ -2,15 +2,15 @@
 
 use crate::TrainError;
 use crate::tensors::pose_tensor;
-use crate::views::{ViewRef, Viewpoint};
+use crate::views::{CameraView, ViewRef};
 use crate::world::World;
 use burn::tensor::Tensor;
-use splat_core::{RenderOptions, Rendered, render};
+use splat_core::{Extra, Rendered, render};
 use tracing::trace_span;
 
 /// What is looked at, and how.
 pub(crate) struct Look<'a> {
-    pub(crate) viewpoint: &'a Viewpoint,
+    pub(crate) viewpoint: &'a CameraView,
     /// The training frame whose blur is shown; `None` for a sharp view.
     pub(crate) frame: Option<usize>,
     /// 1-based iteration, or iterations done.
@@ -46,7 +46,7 @@ impl<T> Shown<T> {
     }
 
     /// Radius of every Gaussian where it was drawn largest, px, `[N]`; 0 for those that were not drawn.
-    pub(crate) fn radii(&self) -> &[f32] {
+    pub(crate) fn radii(&self) -> Tensor<1> {
         self.rendered.radii()
     }
 
@@ -93,19 +93,14 @@ impl Terms {
 /// The scene as a camera without blur sees it: posed at the look's time, rendered.
 pub(crate) fn render_sharp(world: &World, look: &Look<'_>) -> Result<Rendered, TrainError> {
     let posed = trace_span!("pose").in_scope(|| world.pose(look.viewpoint.time));
-    let options = RenderOptions {
+    let viewpoint = splat_core::Viewpoint {
+        camera: look.viewpoint.camera.clone(),
+        cam_from_world: pose_tensor(&look.viewpoint.cam_from_world, &world.means),
         sh_degree: look.sh_degree,
     };
-    let pose = pose_tensor(&look.viewpoint.cam_from_world, &world.means);
-    let screen_grad = look.screen_grad.clone();
-    Ok(trace_span!("render").in_scope(|| {
-        render(
-            posed.splats,
-            pose,
-            &look.viewpoint.camera,
-            &options,
-            posed.dynamic,
-            screen_grad,
-        )
-    })?)
+    let extra = Extra {
+        features: posed.dynamic,
+        screen_grad: look.screen_grad.clone(),
+    };
+    Ok(trace_span!("render").in_scope(|| render(posed.splats, &viewpoint, extra))?)
 }

@@ -10,7 +10,7 @@ use crate::settings::Settings;
 use crate::state::State;
 use crate::survey::Survey;
 use crate::tensors::host;
-use crate::views::{ViewRef, Viewpoint, Views};
+use crate::views::{CameraView, ViewRef, Views};
 use burn::tensor::{Device, Tensor};
 use glam::DAffine3;
 use io::Image;
@@ -88,7 +88,7 @@ impl Run {
         cam_from_world: &DAffine3,
         time: f32,
     ) -> Result<Image, TrainError> {
-        let viewpoint = Viewpoint {
+        let viewpoint = CameraView {
             name: String::new(),
             camera: camera.clone().with_near(self.plan.near()),
             cam_from_world: *cam_from_world,
@@ -98,7 +98,7 @@ impl Run {
     }
 
     /// The same from a viewpoint of [`Self::views`].
-    pub(crate) fn render_viewpoint(&self, viewpoint: &Viewpoint) -> Result<Image, TrainError> {
+    pub(crate) fn render_viewpoint(&self, viewpoint: &CameraView) -> Result<Image, TrainError> {
         let model = self.state.model.detached();
         let look = self.look(viewpoint, self.iteration());
         let shown = model.blur.show(&model.world, &look, None)?;
@@ -145,7 +145,7 @@ impl Run {
     }
 
     /// A look from a viewpoint as a sharp camera has it, at iteration `it`.
-    fn look<'a>(&self, viewpoint: &'a Viewpoint, it: usize) -> Look<'a> {
+    fn look<'a>(&self, viewpoint: &'a CameraView, it: usize) -> Look<'a> {
         Look {
             viewpoint,
             frame: None,

@@ -84,7 +84,8 @@ impl Trainer {
         };
         let state = &mut self.run.state;
         if let Some(norms) = norms {
-            state.density.accumulate(&host(norms), shown.radii());
+            let radii = host(shown.radii());
+            state.density.accumulate(&host(norms), &radii);
         }
         if let Some(trace) = shown.trace {
             state.model.blur.learned(frame, trace);

@@ -170,6 +170,7 @@ impl Trainer {
     /// # Errors
     /// There is none, training has begun, their arrays do not fit each other, or their SH degree is not that of the settings.
     pub fn start_from(&mut self, gaussians: &Gaussians) -> Result<(), TrainError> {
+        gaussians.check()?;
         let degree = self.run.plan.settings.gaussians.sh_degree;
         let iteration = self.run.iteration();
         if gaussians.is_empty() || iteration > 0 || gaussians.sh_degree != degree {

@@ -3,7 +3,7 @@
 use crate::error::{SceneProblem, TrainError};
 use crate::random::{Purpose, generator, unit};
 use crate::settings::Settings;
-use crate::views::{UnseenView, Viewpoint, Views};
+use crate::views::{CameraView, UnseenView, Views};
 use io::Scene;
 use rayon::prelude::*;
 use unseen_views::{Source, WarpOptions, parallel_pose, perpendicular_pose, warp};
@@ -67,7 +67,7 @@ pub(crate) fn unseen_views(
             })?;
             let enough = view.valid_fraction() >= settings.unseen.min_valid;
             Ok(enough.then(|| UnseenView {
-                viewpoint: Viewpoint {
+                viewpoint: CameraView {
                     name,
                     camera: camera.clone(),
                     cam_from_world,

@@ -9,7 +9,7 @@ use splat_core::{Camera, camera_center, pose_rows};
 /// From where and when a view is seen: everything of it but its picture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Viewpoint {
+pub struct CameraView {
     /// The view's name.
     pub name: String,
     /// Intrinsics, with the near plane of the run.
@@ -38,15 +38,15 @@ fn read_pose<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DAffine3, D::
 #[serde(deny_unknown_fields)]
 pub struct Views {
     /// Training frames in time order.
-    pub train: Vec<Viewpoint>,
+    pub train: Vec<CameraView>,
     /// Test views.
-    pub test: Vec<Viewpoint>,
+    pub test: Vec<CameraView>,
 }
 
 impl Views {
     /// The views of a scene, with a near plane in scene units.
     pub(crate) fn of(scene: &Scene, near: f64) -> Self {
-        let viewpoint = |view: &io::View| Viewpoint {
+        let viewpoint = |view: &io::View| CameraView {
             name: view.name.clone(),
             camera: view.camera.clone().with_near(near),
             cam_from_world: view.cam_from_world,
@@ -62,7 +62,7 @@ impl Views {
 /// A view that was never filmed: a training frame, warped.
 #[derive(Debug)]
 pub(crate) struct UnseenView {
-    pub(crate) viewpoint: Viewpoint,
+    pub(crate) viewpoint: CameraView,
     /// The frame that was warped.
     pub(crate) frame: usize,
     pub(crate) image: Vec<f32>,
@@ -73,7 +73,7 @@ pub(crate) struct UnseenView {
 /// A view with its targets, ready for the device.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ViewRef<'a> {
-    pub(crate) viewpoint: &'a Viewpoint,
+    pub(crate) viewpoint: &'a CameraView,
     /// Index of the training frame whose time, blur and camera it has.
     pub(crate) frame: usize,
     image: &'a [f32],

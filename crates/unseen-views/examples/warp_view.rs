@@ -9,7 +9,7 @@ fn main() -> Result<(), WarpError> {
     let (width, height) = (64, 48);
     let camera = Camera::pinhole(width, height, 60.0, 60.0, 32.0, 24.0);
     // A checkered wall 4 units away.
-    let square = |i: usize| f32::from(u8::from((i % width / 8 + i / width / 8) % 2 == 0));
+    let square = |i: usize| ((i % width / 8 + i / width / 8) % 2) as f32;
     let color: Vec<f32> = (0..width * height).flat_map(|i| [square(i); 3]).collect();
     let here = DAffine3::IDENTITY;
     let next = DAffine3::from_translation(DVec3::new(-0.4, 0.0, 0.0));

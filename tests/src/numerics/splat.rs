@@ -3,10 +3,9 @@
 use super::{Case, Precision, Results, scaled};
 use crate::noise;
 use splat_core::Camera;
-use splat_core::cpu::{BackwardOptions, Real, SplatSlices, View, backward, project, rasterize};
-
-/// Channels of the output: colour, alpha, depth and one feature.
-const CHANNELS: usize = 6;
+use splat_core::cpu::{
+    BackwardOptions, Float, Forward, SplatSlices, View, backward, project, rasterize,
+};
 
 /// Inputs of a render.
 #[derive(Clone)]
@@ -56,9 +55,9 @@ fn level(input: &mut Input) {
     input.pose = vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 }
 
-fn render<T: Real>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
-    let cast = |k: usize| -> Vec<T> { inputs[k].iter().map(|v| T::of(*v)).collect() };
-    let arrays: Vec<Vec<T>> = (0..8).map(cast).collect();
+fn render<T: Float>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
+    let cast = |k: usize| -> Vec<T> { inputs[k].iter().map(|v| T::from_f64(*v)).collect() };
+    let arrays: Vec<Vec<T>> = (0..7).map(cast).collect();
     let splats = SplatSlices {
         means: &arrays[0],
         quats: &arrays[1],
@@ -69,35 +68,29 @@ fn render<T: Real>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
     };
     let view = View {
         camera: camera.clone(),
-        cam_from_world: std::array::from_fn(|k| arrays[7][k]),
+        cam_from_world: std::array::from_fn(|k| inputs[7][k]),
         sh_degree: 3,
     };
     let projection = project(&splats, &view).expect("finite input");
     let raster = rasterize(&projection, &arrays[6], 1).expect("finite features");
     let weights: Vec<T> = scaled(raster.output.len(), 8, 1.0, 0.0)
         .into_iter()
-        .map(|v| T::of(f64::from(v as f32)))
+        .map(|v| T::from_f64(f64::from(v as f32)))
         .collect();
-    let g = backward(
-        &splats,
-        &projection,
-        &arrays[6],
-        &raster.state,
-        &weights,
-        BackwardOptions::default(),
-    )
-    .expect("a gradient");
-    let wide = |v: &[T]| -> Vec<f64> { v.iter().map(|v| v.to_f64()).collect() };
-    let channels = |range: std::ops::Range<usize>| -> Vec<f64> {
-        let pixels = raster.output.chunks_exact(CHANNELS);
-        pixels.flat_map(|p| wide(&p[range.clone()])).collect()
+    let forward = Forward {
+        splats: &splats,
+        projection: &projection,
+        features: &arrays[6],
+        state: &raster.state,
     };
+    let g = backward(&forward, &weights, BackwardOptions::default()).expect("a gradient");
+    let wide = |v: &[T]| -> Vec<f64> { v.iter().map(|v| (*v).into()).collect() };
     Results {
         forward: vec![
-            ("colour", channels(0..3)),
-            ("alpha", channels(3..4)),
-            ("depth", channels(4..5)),
-            ("feature", channels(5..6)),
+            ("colour", raster.color().flatten().map(T::into).collect()),
+            ("alpha", raster.alpha().map(T::into).collect()),
+            ("depth", raster.depth().map(T::into).collect()),
+            ("feature", raster.features().flat_map(wide).collect()),
         ],
         backward: vec![
             ("means", wide(&g.means)),

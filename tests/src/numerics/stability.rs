@@ -2,10 +2,9 @@
 
 use crate::{noise, tensor, values};
 use burn::tensor::{DType, Device, Tensor, activation::softmax};
-use host::Vectors;
+use host::{Real, Vectors};
 use motion_bases::{gram_schmidt, means_acceleration};
 use pulp::{Arch, Simd, WithSimd};
-use splat_core::cpu::Real;
 use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 
 /// One measure and the f32 errors without and with it; NaN where nothing usable comes out.

@@ -1,71 +1,40 @@
 //! The whole backward pass: from the gradient of the output to the gradient of every input.
 
+use super::constants::BASE_CHANNELS;
+use super::gradients::{BackwardOptions, Gradients};
+use super::project::Projection;
 use super::project_backward::{all_finite, project_backward};
+use super::raster::RasterState;
 use super::raster_backward::partial_gradients;
-use super::{BASE_CHANNELS, Projection, RasterState, Real, SplatSlices};
-use crate::SplatError;
+use super::real::Real;
+use super::types::SplatSlices;
+use crate::error::SplatError;
 
-/// Which optional parts of the gradient are computed.
+/// A render: what it was made from, and what it kept for its backward pass.
 #[derive(Clone, Copy, Debug)]
-pub struct BackwardOptions {
-    /// The gradient of the pose; without it `cam_from_world` stays 0.
-    pub pose: bool,
-    /// The paths through the direction in which SH are evaluated. Off, the direction counts as a
-    /// constant, as in references whose generator leaves these paths out.
-    pub view_direction: bool,
+pub struct Forward<'a, T> {
+    /// The Gaussians.
+    pub splats: &'a SplatSlices<'a, T>,
+    /// What [`project`](super::project) made of them.
+    pub projection: &'a Projection<T>,
+    /// Features, [N, F]; empty for none.
+    pub features: &'a [T],
+    /// What [`rasterize`](super::rasterize) kept.
+    pub state: &'a RasterState<T>,
 }
 
-impl Default for BackwardOptions {
-    fn default() -> Self {
-        Self {
-            pose: true,
-            view_direction: true,
-        }
-    }
-}
-
-/// Gradients of all inputs, in the inputs' shapes.
-#[derive(Clone, Debug)]
-pub struct Gradients<T> {
-    /// [N, 3].
-    pub means: Vec<T>,
-    /// [N, 4].
-    pub quats: Vec<T>,
-    /// [F, 3, 3].
-    pub left_rotations: Vec<T>,
-    /// [N, 3].
-    pub log_scales: Vec<T>,
-    /// `[N]`.
-    pub opacity_logits: Vec<T>,
-    /// [N, B, 3].
-    pub sh: Vec<T>,
-    /// [N, F].
-    pub features: Vec<T>,
-    /// [3, 4], the pose's entries as twelve free numbers.
-    pub cam_from_world: [T; 12],
-    /// Norm of the gradient of the mean in the image, in NDC units (half the image is 1), `[N]`:
-    /// the statistic of density control.
-    pub screen: Vec<T>,
-}
-
-/// Gradients of a render.
-///
-/// `splats` and `features` are those that `projection` and `state` were made from, `v_output` is
-/// the gradient of the output, [H, W, 5 + F].
-///
-/// A Gaussian whose gradient overflows `T` gets none, and neither does the pose. Where `v_output` itself is not finite, the
-/// gradients are not finite either, so that whoever asked for them can see it.
-///
-/// # Errors
-/// Wrong lengths.
-pub fn backward<T: Real>(
-    splats: &SplatSlices<'_, T>,
-    projection: &Projection<T>,
-    features: &[T],
-    state: &RasterState<T>,
+/// See [`super::backward`].
+pub(super) fn backward<T: Real>(
+    forward: &Forward<'_, T>,
     v_output: &[T],
     options: BackwardOptions,
 ) -> Result<Gradients<T>, SplatError> {
+    let Forward {
+        splats,
+        projection,
+        features,
+        state,
+    } = *forward;
     splats.check(projection.view.sh_degree)?;
     let n = projection.count;
     for (tensor, found, expected) in [

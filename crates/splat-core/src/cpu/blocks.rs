@@ -3,7 +3,8 @@
 
 use std::ops::Range;
 
-use super::{Real, TILE};
+use super::constants::TILE;
+use super::real::Real;
 
 /// Side of a block in pixels.
 const SIDE: usize = 4;

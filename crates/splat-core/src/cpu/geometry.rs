@@ -5,14 +5,17 @@ use std::ops::Range;
 
 use pulp::Simd;
 
+use super::constants::LOW_PASS;
 use super::packs::{Number, Pack, Where, array};
-use super::{LOW_PASS, Real, SplatSlices, View};
-use crate::CameraModel;
+use super::real::Real;
+use super::types::{SplatSlices, View};
+use crate::camera::CameraModel;
+use crate::error::SplatError;
 
 /// Below this a quaternion's norm counts as this much: a zero quaternion is the identity.
 const NORM_FLOOR: f64 = 1e-12;
 
-/// A pinhole's intrinsics in the kernels' float type, and where the Jacobian is clamped.
+/// A pinhole's intrinsics and pose in the kernels' float type, and where the Jacobian is clamped.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lens<T> {
     pub(super) fx: T,
@@ -20,28 +23,39 @@ pub(super) struct Lens<T> {
     pub(super) cx: T,
     pub(super) cy: T,
     pub(super) near: T,
-    pub(super) width: T,
-    pub(super) height: T,
+    /// Width and height in pixels.
+    pub(super) size: [usize; 2],
+    /// Rows [R | t], from the world to the camera.
+    pub(super) pose: [T; 12],
     /// x/z and y/z stay in these ranges in the Jacobian: the image and 0.15 of its size around it.
     min: [T; 2],
     max: [T; 2],
 }
 
 impl<T: Real> Lens<T> {
-    pub(super) fn new(view: &View<T>) -> Self {
+    /// Refuses a camera that is not usable, and a pose that is not finite.
+    pub(super) fn new(view: &View) -> Result<Self, SplatError> {
+        let pose = view.cam_from_world.map(T::of);
+        if let Some(k) = pose.iter().position(|v| !v.is_finite()) {
+            return Err(SplatError::NotFinite {
+                tensor: "cam_from_world",
+                row: k / 4,
+            });
+        }
+        view.check_camera()?;
         let c = &view.camera;
         // What the kernels compute; another model needs a lens of its own.
         let CameraModel::Pinhole = c.model;
         let (w, h) = (c.width as f64, c.height as f64);
         let margin = [0.3 * 0.5 * w / c.fx, 0.3 * 0.5 * h / c.fy];
-        Self {
+        Ok(Self {
             fx: T::of(c.fx),
             fy: T::of(c.fy),
             cx: T::of(c.cx),
             cy: T::of(c.cy),
             near: T::of(c.near),
-            width: T::of(w),
-            height: T::of(h),
+            size: [c.width, c.height],
+            pose,
             min: [
                 T::of(-c.cx / c.fx - margin[0]),
                 T::of(-c.cy / c.fy - margin[1]),
@@ -50,7 +64,7 @@ impl<T: Real> Lens<T> {
                 T::of((w - c.cx) / c.fx + margin[0]),
                 T::of((h - c.cy) / c.fy + margin[1]),
             ],
-        }
+        })
     }
 }
 
@@ -255,14 +269,13 @@ impl<T: Real, S: Simd> Shapes<T, S> {
 pub(super) fn project_some<T: Real, S: Simd>(
     simd: S,
     lens: &Lens<T>,
-    pose: &[T; 12],
     shapes: &Shapes<T, S>,
 ) -> Geometry<T, S> {
     let splat = |value| Pack::splat(simd, value);
     let n = |value| splat(T::of(value));
     let pose: [_; 12] = array(
         #[inline(always)]
-        |k| splat(pose[k]),
+        |k| splat(lens.pose[k]),
     );
     let Shapes {
         mean,

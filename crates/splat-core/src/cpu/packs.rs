@@ -5,7 +5,7 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
 use pulp::Simd;
 
-use super::Real;
+use super::real::Real;
 
 /// Values of a vector, at most.
 pub(super) const WIDEST: usize = 16;

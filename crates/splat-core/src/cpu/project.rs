@@ -5,64 +5,39 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use super::constants::MIN_ALPHA;
 use super::geometry::{Lens, Shapes, column, project_some, view_directions};
 use super::packs::{Number, Pack, WIDEST, arrays};
+use super::real::Real;
+use super::sh;
+use super::splat::{Extent, Splat};
 use super::tiles::{TileLists, pixel_range};
-use super::{MIN_ALPHA, Real, SplatSlices, View, sh};
-use crate::SplatError;
+use super::types::{SplatSlices, View};
+use crate::error::SplatError;
 
 /// Gaussians per piece of parallel work; fixed, so that results do not depend on threads.
 pub(super) const CHUNK: usize = 512;
-
-/// A visible Gaussian as the rasteriser sees it, kept small: tiles load it from all over memory.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Splat<T> {
-    /// Mean in pixels.
-    pub(super) mean: [T; 2],
-    /// sigma = (l11 dx + l21 dy)² + (l22 dy)².
-    pub(super) l11: T,
-    pub(super) l21: T,
-    pub(super) l22: T,
-    pub(super) opacity: T,
-    /// max(SH + 0.5, 0), and z-depth.
-    pub(super) channels: [T; 4],
-    /// Columns and rows of pixels [from, to) that its bounding box meets.
-    pub(super) columns: [u16; 2],
-    pub(super) rows: [u16; 2],
-    /// Row in the inputs.
-    pub(super) row: u32,
-}
-
-/// How far a visible Gaussian reaches in the image.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Extent<T> {
-    /// Where sigma is larger, alpha is under the threshold.
-    pub(super) sigma_max: T,
-    /// Half the size of the bounding box of that ellipse, px, a little enlarged.
-    pub(super) half: [T; 2],
-    /// Three standard deviations along the longer axis, px.
-    radius: f32,
-}
 
 /// Gaussians projected into a view, in depth order, with their tile lists.
 ///
 /// At equal depth the lower row comes first.
 #[derive(Clone, Debug)]
 pub struct Projection<T> {
-    pub(super) view: View<T>,
+    pub(super) view: View,
+    pub(super) lens: Lens<T>,
     /// Number of Gaussians N in the inputs.
     pub(super) count: usize,
     pub(super) splats: Vec<Splat<T>>,
     pub(super) tiles: TileLists,
     /// Place of every row in `splats`, `u32::MAX` for culled rows.
     pub(super) rank: Vec<u32>,
-    radii: Vec<f32>,
+    pub(crate) radii: Vec<f32>,
 }
 
-impl<T: Real> Projection<T> {
+impl<T> Projection<T> {
     /// The view it was made for.
     #[must_use]
-    pub fn view(&self) -> &View<T> {
+    pub fn view(&self) -> &View {
         &self.view
     }
 
@@ -98,28 +73,23 @@ impl<T: Real> Projection<T> {
     }
 }
 
-/// Projects Gaussians into a view, drops what cannot be seen, sorts by depth and lists every tile's
-/// Gaussians.
-///
-/// # Errors
-/// Wrong lengths, an unusable camera, or an input that is not finite, which is named with its row.
-pub fn project<T: Real>(
+/// See [`super::project`].
+pub(super) fn project<T: Real>(
     splats: &SplatSlices<'_, T>,
-    view: &View<T>,
+    view: &View,
 ) -> Result<Projection<T>, SplatError> {
     let _span = tracing::trace_span!("project").entered();
-    view.check()?;
+    let lens = Lens::new(view)?;
     splats.check(view.sh_degree)?;
     let count = splats.len();
-    let lens = Lens::new(view);
     let arch = Arch::new();
     let chunks: Vec<Vec<(Splat<T>, Extent<T>)>> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
             arch.dispatch(ProjectRows {
                 splats,
-                view,
                 lens: &lens,
+                sh_degree: view.sh_degree,
                 rows: chunk * CHUNK..((chunk + 1) * CHUNK).min(count),
             })
         })
@@ -146,6 +116,7 @@ pub fn project<T: Real>(
     }
     Ok(Projection {
         view: view.clone(),
+        lens,
         count,
         splats: sorted,
         tiles,
@@ -168,8 +139,8 @@ pub(super) fn sh_color<T: Real>(stored: &[T], basis: &[[T; WIDEST]; 16], l: usiz
 
 struct ProjectRows<'a, T> {
     splats: &'a SplatSlices<'a, T>,
-    view: &'a View<T>,
     lens: &'a Lens<T>,
+    sh_degree: usize,
     rows: Range<usize>,
 }
 
@@ -182,7 +153,14 @@ impl<T: Real> WithSimd for ProjectRows<'_, T> {
         let mut visible = Vec::with_capacity(self.rows.len());
         for first in self.rows.clone().step_by(T::lanes::<S>()) {
             let rows = first..(first + T::lanes::<S>()).min(self.rows.end);
-            project_rows(simd, self.splats, self.view, self.lens, &rows, &mut visible);
+            project_rows(
+                simd,
+                self.splats,
+                self.lens,
+                self.sh_degree,
+                &rows,
+                &mut visible,
+            );
         }
         Ok(visible)
     }
@@ -193,13 +171,13 @@ impl<T: Real> WithSimd for ProjectRows<'_, T> {
 fn project_rows<T: Real, S: Simd>(
     simd: S,
     splats: &SplatSlices<'_, T>,
-    view: &View<T>,
     lens: &Lens<T>,
+    sh_degree: usize,
     rows: &Range<usize>,
     visible: &mut Vec<(Splat<T>, Extent<T>)>,
 ) {
     let shapes = Shapes::new(simd, splats, rows);
-    let g = project_some(simd, lens, &view.cam_from_world, &shapes);
+    let g = project_some(simd, lens, &shapes);
     let opacity = column(simd, splats.opacity_logits, 1, rows, 0).map(sigmoid);
     let min_alpha = Pack::splat(simd, T::of(MIN_ALPHA));
     let n = |value| min_alpha.like(value);
@@ -212,9 +190,9 @@ fn project_rows<T: Real, S: Simd>(
     let xy = g.rho * g.yy;
     let larger = middle + (spread * spread + xy * xy).sqrt();
 
-    let (direction, _) = view_directions(&view.cam_from_world, shapes.mean);
-    let basis = arrays(sh::basis(view.sh_degree, direction));
-    let used = sh::num_coefficients(view.sh_degree) * 3;
+    let (direction, _) = view_directions(&lens.pose, shapes.mean);
+    let basis = arrays(sh::basis(sh_degree, direction));
+    let used = sh::num_coefficients(sh_degree) * 3;
     let stored = splats.sh_coefficients() * 3;
 
     let seen = g.visible.to_array();
@@ -231,8 +209,8 @@ fn project_rows<T: Real, S: Simd>(
             // The sides of an image are at most 65,535 px.
             Some([from as u16, to as u16])
         };
-        let columns = range(0, view.camera.width);
-        let (Some(columns), Some(rows)) = (columns, range(1, view.camera.height)) else {
+        let columns = range(0, lens.size[0]);
+        let (Some(columns), Some(rows)) = (columns, range(1, lens.size[1])) else {
             continue;
         };
         let sh = &splats.sh[row * stored..][..used];

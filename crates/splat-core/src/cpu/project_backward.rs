@@ -12,10 +12,13 @@ use super::geometry::{
     Geometry, Lens, Shapes, column, mul_transpose3, pose_rotation, project_some,
     quaternion_gradient, transpose_mul3, view_directions,
 };
+use super::gradients::{BackwardOptions, Gradients};
 use super::packs::{Number, Pack, WIDEST, array, arrays};
-use super::project::{CHUNK, sh_color, sigmoid};
+use super::project::{CHUNK, Projection, sh_color, sigmoid};
 use super::raster_backward::GEOMETRIC;
-use super::{BackwardOptions, Gradients, Projection, Real, SplatSlices, sh};
+use super::real::Real;
+use super::sh;
+use super::types::SplatSlices;
 
 /// The output rows of one piece of work.
 struct Piece<'a, T> {
@@ -89,7 +92,7 @@ pub(super) fn project_backward<T: Real>(
     let job = Job {
         splats,
         projection,
-        lens: Lens::new(&projection.view),
+        lens: &projection.lens,
         num_features,
         partial,
         options,
@@ -123,7 +126,7 @@ fn tree_sum<T: Real>(values: &[[T; 12]]) -> [T; 12] {
 struct Job<'a, T> {
     splats: &'a SplatSlices<'a, T>,
     projection: &'a Projection<T>,
-    lens: Lens<T>,
+    lens: &'a Lens<T>,
     num_features: usize,
     partial: &'a [T],
     options: BackwardOptions,
@@ -203,12 +206,12 @@ impl<T: Real> Job<'_, T> {
         pose_sum: &mut [Pack<T, S>; 12],
     ) {
         let view = &self.projection.view;
-        let pose = &view.cam_from_world;
+        let pose = &self.lens.pose;
         let rows = piece.first + local..piece.first + local + ranks.len();
         let zero = Pack::splat(simd, T::ZERO);
         let n = |value| zero.like(value);
         let shapes = Shapes::new(simd, self.splats, &rows);
-        let g = project_some(simd, &self.lens, pose, &shapes);
+        let g = project_some(simd, self.lens, &shapes);
         let width = GEOMETRIC + 4 + self.num_features;
         let own = local..local + ranks.len();
         let sum_of = |k| column(simd, sums, width, &own, k);
@@ -226,9 +229,10 @@ impl<T: Real> Job<'_, T> {
         // s sums -∂L/∂alpha · alpha, and ∂alpha/∂logit = alpha (1 - opacity).
         let logits = column(simd, self.splats.opacity_logits, 1, &rows, 0);
         let v_logit = -s * (-logits).map(sigmoid);
+        let [across, down] = self.lens.size;
         let screen = norm2([
-            v_ellipse.mean2d[0] * n(0.5) * Pack::splat(simd, self.lens.width),
-            v_ellipse.mean2d[1] * n(0.5) * Pack::splat(simd, self.lens.height),
+            v_ellipse.mean2d[0] * n(0.5) * n(across as f64),
+            v_ellipse.mean2d[1] * n(0.5) * n(down as f64),
         ]);
 
         let v_color: [_; 3] = array(
@@ -236,7 +240,7 @@ impl<T: Real> Job<'_, T> {
             |k| sum_of(GEOMETRIC + k),
         );
         let colors = self.colors(simd, &rows, shapes.mean, v_color);
-        let v_shape = ellipse(&self.lens, &g, &v_ellipse);
+        let v_shape = ellipse(self.lens, &g, &v_ellipse);
         let splat = |value| Pack::splat(simd, value);
         let in_pose = pose_rotation(pose);
         let rotation: [_; 9] = array(
@@ -376,7 +380,7 @@ impl<T: Real> Job<'_, T> {
             sh::num_coefficients(view.sh_degree),
             self.splats.sh_coefficients(),
         );
-        let (direction, length) = view_directions(&view.cam_from_world, mean);
+        let (direction, length) = view_directions(&self.lens.pose, mean);
         let basis = arrays(sh::basis(view.sh_degree, direction));
         let mut passed = arrays(v_color);
         let mut weights = [[T::ZERO; WIDEST]; 16];

@@ -6,9 +6,11 @@ use rayon::prelude::*;
 use host::filled;
 
 use super::blocks::{ACROSS, BLOCK, BLOCKS, PerChannel, Pixels, blocks_under, centers, place};
-use super::project::{Splat, find_not_finite};
-use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, Projection, Real, TILE};
-use crate::SplatError;
+use super::constants::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, TILE};
+use super::project::{Projection, find_not_finite};
+use super::real::Real;
+use super::splat::Splat;
+use crate::error::SplatError;
 
 /// An alpha threshold that no alpha reaches: marks pixels that are done.
 const DONE: f64 = 2.0;
@@ -34,12 +36,35 @@ pub struct RasterState<T> {
     pub(super) num_features: usize,
 }
 
-/// Blends projected Gaussians into colour, alpha, depth and `num_features` feature channels
-/// (`features` is [N, F] row-major; empty for none), front to back on a black background.
-///
-/// # Errors
-/// Features of the wrong length or not finite.
-pub fn rasterize<T: Real>(
+impl<T: Copy> Raster<T> {
+    /// Colour of every pixel, row by row.
+    pub fn color(&self) -> impl ExactSizeIterator<Item = [T; 3]> {
+        self.pixels().map(|p| [p[0], p[1], p[2]])
+    }
+
+    /// 1 - the light that passes through all Gaussians, of every pixel.
+    pub fn alpha(&self) -> impl ExactSizeIterator<Item = T> {
+        self.pixels().map(|p| p[3])
+    }
+
+    /// Σ z α T of every pixel in scene units, not divided by alpha.
+    pub fn depth(&self) -> impl ExactSizeIterator<Item = T> {
+        self.pixels().map(|p| p[4])
+    }
+
+    /// The blended features of every pixel; empty slices where there were none.
+    pub fn features(&self) -> impl ExactSizeIterator<Item = &[T]> {
+        self.pixels().map(|p| &p[BASE_CHANNELS..])
+    }
+
+    fn pixels(&self) -> std::slice::ChunksExact<'_, T> {
+        let channels = BASE_CHANNELS + self.state.num_features;
+        self.output.chunks_exact(channels)
+    }
+}
+
+/// See [`super::rasterize`].
+pub(super) fn rasterize<T: Real>(
     projection: &Projection<T>,
     features: &[T],
     num_features: usize,

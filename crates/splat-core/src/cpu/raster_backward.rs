@@ -6,9 +6,11 @@ use rayon::prelude::*;
 use host::filled;
 
 use super::blocks::{BLOCK, BLOCKS, PerChannel, centers, place};
-use super::project::Splat;
-use super::raster::{BATCH, Footprint, load_batch, load_channels};
-use super::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, Projection, RasterState, Real, TILE};
+use super::constants::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, TILE};
+use super::project::Projection;
+use super::raster::{BATCH, Footprint, RasterState, load_batch, load_channels};
+use super::real::Real;
+use super::splat::Splat;
 
 /// Geometric sums in a partial gradient, before its channels. With s = ∂L/∂sigma per pixel:
 /// Σ s p, Σ s p², Σ s p dy, Σ s dy, Σ s dy², Σ s.

@@ -1,6 +1,6 @@
 //! The float types of the kernels.
 
 /// `f32` or `f64`: what the kernels compute in.
-pub trait Real: host::Real + radsort::Key {}
+pub(super) trait Real: host::Real + radsort::Key {}
 impl Real for f32 {}
 impl Real for f64 {}

@@ -2,9 +2,10 @@
 
 use rayon::prelude::*;
 
-use super::project::{Extent, Splat};
-use super::{Real, TILE};
-use crate::SplatError;
+use super::constants::TILE;
+use super::real::Real;
+use super::splat::{Extent, Splat};
+use crate::error::SplatError;
 
 /// For every tile its Gaussians in depth order, and for every Gaussian its places in those lists.
 ///

@@ -2,8 +2,8 @@
 
 use glam::DAffine3;
 
-use super::Real;
-use crate::{Camera, SplatError, pose_rows};
+use crate::camera::{Camera, pose_rows};
+use crate::error::SplatError;
 
 /// The Gaussians as borrowed row-major arrays.
 ///
@@ -24,7 +24,7 @@ pub struct SplatSlices<'a, T> {
     pub sh: &'a [T],
 }
 
-impl<T: Real> SplatSlices<'_, T> {
+impl<T> SplatSlices<'_, T> {
     /// Number of Gaussians N.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -50,7 +50,7 @@ impl<T: Real> SplatSlices<'_, T> {
     }
 
     /// Checks every length, and that the active SH degree is stored.
-    pub(super) fn check(&self, sh_degree: usize) -> Result<(), SplatError> {
+    pub(crate) fn check(&self, sh_degree: usize) -> Result<(), SplatError> {
         let n = self.len();
         for (tensor, found, width) in [
             ("means", self.means.len(), 3),
@@ -114,34 +114,28 @@ fn shape_error(tensor: &'static str, found: usize, expected: String) -> SplatErr
 
 /// From where the Gaussians are seen, and how.
 #[derive(Clone, Debug)]
-pub struct View<T> {
+pub struct View {
     /// Intrinsics, size and near plane.
     pub camera: Camera,
     /// Rows of the rigid transform [R | t] from the world to the camera, [3, 4].
-    pub cam_from_world: [T; 12],
+    pub cam_from_world: [f64; 12],
     /// SH bands up to this degree are used, 0 to 3.
     pub sh_degree: usize,
 }
 
-impl<T: Real> View<T> {
+impl View {
     /// A view from a pose.
     #[must_use]
     pub fn new(camera: &Camera, cam_from_world: &DAffine3, sh_degree: usize) -> Self {
         Self {
             camera: camera.clone(),
-            cam_from_world: pose_rows(cam_from_world).map(T::of),
+            cam_from_world: pose_rows(cam_from_world),
             sh_degree,
         }
     }
 
-    /// The pose must be finite, the camera usable.
-    pub(super) fn check(&self) -> Result<(), SplatError> {
-        if let Some(k) = self.cam_from_world.iter().position(|v| !v.is_finite()) {
-            return Err(SplatError::NotFinite {
-                tensor: "cam_from_world",
-                row: k / 4,
-            });
-        }
+    /// The camera must be usable.
+    pub(super) fn check_camera(&self) -> Result<(), SplatError> {
         let c = &self.camera;
         let bad = |reason: String| Err(SplatError::Camera { reason });
         let sides = 1..=65_535;

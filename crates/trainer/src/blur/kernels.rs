@@ -282,3 +282,42 @@ impl KernelTrace {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn moments(n: usize) -> [usize; 4] {
+        let settings = Settings {
+            iterations: n,
+            ..Settings::default()
+        };
+        let m = Moments::new(&settings);
+        [m.from, m.step_from, m.kernel_center_from, m.downsample_from]
+    }
+
+    #[test]
+    fn moments_are_the_papers_and_keep_their_distances_in_short_runs() {
+        assert_eq!(moments(40_000), [3500, 3700, 5500, 4500]);
+        assert_eq!(moments(3000), [262, 462, 762, 337]);
+        assert_eq!(moments(300)[..3], [75, 112, 150]);
+        for n in [200, 300, 1200, 3000, 10_000, 40_000] {
+            let [from, step_from, kernel_center_from, _] = moments(n);
+            assert!(0 < from && from < step_from && step_from < kernel_center_from);
+            assert!(kernel_center_from < n, "at {n}");
+        }
+    }
+
+    #[test]
+    fn moments_after_any_end_never_come() {
+        let mut settings = Settings::default();
+        settings.blur.from = usize::MAX;
+        settings.loss.downsample_after = usize::MAX;
+        let m = Moments::new(&settings);
+        let all = [m.from, m.step_from, m.kernel_center_from, m.downsample_from];
+        assert!(
+            all.iter().all(|&moment| moment >= settings.iterations),
+            "{m:?}"
+        );
+    }
+}

@@ -351,8 +351,8 @@ fn missing_depth_is_no_edge_and_ends_a_slope() {
 
 #[test]
 fn pictures_of_any_size_and_numbers_of_any_size_are_taken() {
-    assert_eq!(depth_edges(&[], 0, 0.05), []);
-    assert_eq!(depth_edges(&[], 7, 0.05), []);
+    assert!(depth_edges(&[], 0, 0.05).is_empty());
+    assert!(depth_edges(&[], 7, 0.05).is_empty());
     assert_eq!(depth_edges(&[1.0], usize::MAX, 0.05), [false]);
     assert_eq!(
         depth_edges(&[1.0, 2.0], 0, 0.05),

@@ -40,7 +40,7 @@ fn reference_image(case: &Case<f64>) -> Vec<f64> {
         );
         let det = xx * yy - xy * xy;
         let centre = -(w.transpose() * t);
-        let d = (v3(&case.means, k) - centre).normalize();
+        let d = (v3(&case.means, k) - centre).normalize_or_zero();
         let basis = sh::basis(case.degree, d.to_array());
         let b = case.sh.len() / (3 * case.len());
         let color: [f64; 3] = std::array::from_fn(|ch| {
@@ -207,7 +207,7 @@ fn moving_scene_and_camera_together_changes_nothing() {
         DMat3::from_cols_array(&[p[0], p[4], p[8], p[1], p[5], p[9], p[2], p[6], p[10]]),
         DVec3::new(p[3], p[7], p[11]),
     );
-    moved.pose = crate::pose_rows(&(pose * motion.inverse())).to_vec();
+    moved.pose = pose_rows(&(pose * motion.inverse())).to_vec();
     let error = largest_difference(&case.render().output, &moved.render().output);
     assert!(error < 1e-11, "{error:e}");
 }
@@ -234,22 +234,20 @@ fn thin_needles_keep_their_digits_in_f32() {
 
 #[test]
 fn random_scenes_agree_with_the_textbook_renderer() {
-    arbtest::arbtest(|u| {
-        let mut case = random_case(u.arbitrary()?, u.int_in_range(0..=40)?, 1, 1, 0);
+    for seed in 0..1000 {
+        let mut r = Random(seed);
+        let mut case = random_case(seed, r.uniform(1.0, 41.0) as usize, 1, 1, 0);
         case.camera = Camera::pinhole(
-            u.int_in_range(1..=40)?,
-            u.int_in_range(1..=40)?,
-            f64::from(u.int_in_range(5..=60)?),
-            f64::from(u.int_in_range(5..=60)?),
-            f64::from(u.int_in_range(-10..=50)?),
-            f64::from(u.int_in_range(-10..=50)?),
+            r.uniform(1.0, 41.0) as usize,
+            r.uniform(1.0, 41.0) as usize,
+            r.uniform(5.0, 60.0),
+            r.uniform(5.0, 60.0),
+            r.uniform(-10.0, 50.0),
+            r.uniform(-10.0, 50.0),
         );
-        let shrink = f64::from(u.int_in_range(0..=40)?) * 0.1;
+        let shrink = r.uniform(0.0, 4.0);
         case.log_scales.iter_mut().for_each(|s| *s -= shrink);
-        if case.len() > 0 {
-            let error = largest_difference(&case.render().output, &reference_image(&case));
-            assert!(error < 1e-11, "{error:e}");
-        }
-        Ok(())
-    });
+        let error = largest_difference(&case.render().output, &reference_image(&case));
+        assert!(error < 1e-11, "seed {seed}: {error:e}");
+    }
 }

@@ -4,8 +4,9 @@ mod contracts;
 mod gradients;
 mod image;
 
+use super::real::Real;
 use super::*;
-use crate::Camera;
+use crate::camera::{Camera, pose_rows};
 use glam::{DAffine3, DQuat, DVec3};
 
 /// SplitMix64.
@@ -41,7 +42,7 @@ struct Case<T> {
     camera: Camera,
 }
 
-impl<T: Real> Case<T> {
+impl<T: Real + Float> Case<T> {
     fn slices(&self) -> SplatSlices<'_, T> {
         SplatSlices {
             means: &self.means,
@@ -53,10 +54,10 @@ impl<T: Real> Case<T> {
         }
     }
 
-    fn view(&self) -> View<T> {
+    fn view(&self) -> View {
         View {
             camera: self.camera.clone(),
-            cam_from_world: std::array::from_fn(|k| self.pose[k]),
+            cam_from_world: std::array::from_fn(|k| self.pose[k].to_f64()),
             sh_degree: self.degree,
         }
     }
@@ -72,15 +73,13 @@ impl<T: Real> Case<T> {
     fn backward(&self, v_output: &[T]) -> Gradients<T> {
         let projection = self.project();
         let raster = rasterize(&projection, &self.features, self.num_features).unwrap();
-        backward(
-            &self.slices(),
-            &projection,
-            &self.features,
-            &raster.state,
-            v_output,
-            BackwardOptions::default(),
-        )
-        .unwrap()
+        let forward = Forward {
+            splats: &self.slices(),
+            projection: &projection,
+            features: &self.features,
+            state: &raster.state,
+        };
+        backward(&forward, v_output, BackwardOptions::default()).unwrap()
     }
 
     fn len(&self) -> usize {
@@ -129,7 +128,7 @@ impl<T: Real> Case<T> {
 }
 
 fn pose_of(rotation: DQuat, translation: DVec3) -> Vec<f64> {
-    crate::pose_rows(&DAffine3::from_rotation_translation(rotation, translation)).to_vec()
+    pose_rows(&DAffine3::from_rotation_translation(rotation, translation)).to_vec()
 }
 
 /// `count` Gaussians in front of a camera that looks roughly along z: off-centre principal point,

@@ -1,0 +1,76 @@
+//! The op as a node of a graph.
+
+use burn::backend::autodiff::{
+    checkpoint::{base::Checkpointer, strategy::CheckpointStrategy},
+    grads::Gradients,
+    ops::{Backward, Ops, OpsKind},
+};
+use burn::backend::{Autodiff, AutodiffBackend, tensor::FloatTensor};
+use host::register;
+
+use crate::camera::Camera;
+use crate::ops::{Blended, INPUTS, PreparedView, Projected, Scene, SplatBackwardOps, SplatOps};
+
+#[derive(Debug)]
+struct Rasterize;
+
+impl<B: SplatBackwardOps> Backward<B, INPUTS> for Rasterize {
+    type State = (B::Saved, Scene<B>, FloatTensor<B>);
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, INPUTS>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let gradient = grads.consume::<B>(&ops.node);
+        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+        let (saved, scene, features) = ops.state;
+        let wanted = parents.each_ref().map(Option::is_some);
+        let gradients = B::rasterize_backward(saved, scene, features, gradient, wanted);
+        register::<B, INPUTS>(grads, parents, gradients);
+    }
+}
+
+impl<B: SplatBackwardOps, C: CheckpointStrategy> SplatOps for Autodiff<B, C> {
+    fn project(scene: Scene<Self>, camera: Camera, sh_degree: usize) -> Projected<Self> {
+        let scene = scene.map::<B>(<Self as AutodiffBackend>::inner);
+        match B::project(scene, camera, sh_degree) {
+            Projected::Done(view) => {
+                Projected::Done(view.map(<Self as AutodiffBackend>::from_inner))
+            }
+            Projected::Refused(error) => Projected::Refused(error),
+        }
+    }
+
+    fn rasterize(
+        view: PreparedView<Self>,
+        scene: Scene<Self>,
+        features: FloatTensor<Self>,
+        screen_grad: FloatTensor<Self>,
+    ) -> Blended<Self> {
+        let mut nodes = Vec::with_capacity(INPUTS);
+        let mut inner = |tensor: FloatTensor<Self>| {
+            let (tensor, node) = tensor.into_parts();
+            nodes.push(node);
+            tensor
+        };
+        let scene = scene.map::<B>(&mut inner);
+        let features = inner(features);
+        let screen_grad = inner(screen_grad);
+        let view = view.map::<B>(<Self as AutodiffBackend>::inner);
+        let Ok(nodes) = <[_; INPUTS]>::try_from(nodes) else {
+            unreachable!("a node for every input");
+        };
+        match Rasterize.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => match B::rasterize_saved(view, features.clone()) {
+                Ok((output, saved)) => Blended::Done(prep.finish((saved, scene, features), output)),
+                Err(error) => Blended::Refused(error),
+            },
+            OpsKind::UnTracked(prep) => match B::rasterize(view, scene, features, screen_grad) {
+                Blended::Done(output) => Blended::Done(prep.finish(output)),
+                Blended::Refused(error) => Blended::Refused(error),
+            },
+        }
+    }
+}
