@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use burn::backend::{TensorMetadata as _, tensor::FloatTensor};
 use burn::tensor::Shape;
-use host::{HostBackend, HostFloat, tensor, with_float};
+use host::{HostBackend, HostFloat, Real as _, tensor, with_float};
 
 use crate::camera::Camera;
 use crate::cpu::{
@@ -133,7 +133,7 @@ fn project_on<B: HostBackend>(
         let mut projection = with_slices::<T, B, _>(scene, |splats, pose| {
             let view = View {
                 camera,
-                cam_from_world: std::array::from_fn(|k| pose[k].into()),
+                cam_from_world: std::array::from_fn(|k| pose[k].to_f64()),
                 sh_degree,
             };
             cpu::project(splats, &view)
