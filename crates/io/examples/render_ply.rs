@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let png = path.with_extension("render.png");
     write_png(&png, &image)?;
-    eprintln!("{} Gaussians drawn into {}", gaussians.len(), png.display());
+    println!("{} Gaussians drawn into {}", gaussians.len(), png.display());
     Ok(())
 }
 

@@ -31,7 +31,7 @@ fn main() -> Result<(), SplatError> {
 
     let covered = image.alpha().filter(|&alpha| alpha > 0.5).count();
     let share = 100.0 * covered as f64 / camera.num_pixels() as f64;
-    eprintln!(
+    println!(
         "{} of {count} Gaussians drawn, {share:.1} % of the image covered",
         projection.num_visible()
     );

@@ -51,16 +51,7 @@ pub fn depth_edges(depth: &[f32], width: usize, edge: f64) -> Vec<bool> {
         })
         .collect();
     let mut on_edge = vec![false; depth.len()];
-    let mut mark = |line: Vec<usize>| {
-        let jumps = jumps(&line, &disparity, edge);
-        let mixed = |at: usize| at > 0 && at < jumps.len() && jumps[at - 1] * jumps[at] > 0.0;
-        for (pair, &jump) in jumps.iter().enumerate() {
-            if jump != 0.0 {
-                on_edge[line[pair]] |= mixed(pair) || !mixed(pair + 1);
-                on_edge[line[pair + 1]] |= mixed(pair + 1) || !mixed(pair);
-            }
-        }
-    };
+    let mut mark = |line: Vec<usize>| mark(&line, &disparity, edge, &mut on_edge);
     let width = width.clamp(1, depth.len().max(1));
     for start in (0..depth.len()).step_by(width) {
         mark((start..depth.len().min(start + width)).collect());
@@ -76,8 +67,8 @@ pub(crate) fn has_depth(z: f32) -> bool {
     z > 0.0 && z.is_finite()
 }
 
-/// The pairs of neighbours along a line of pixels whose disparity jumps: i for the pixels i and i + 1.
-fn jumps(line: &[usize], disparity: &[f64], edge: f64) -> Vec<f64> {
+/// Marks the pixels of a line, a row or a column, that lie on an edge.
+fn mark(line: &[usize], disparity: &[f64], edge: f64, on_edge: &mut [bool]) {
     // No step to or from missing depth: it neither jumps nor goes on with a slope.
     let steps: Vec<f64> = line
         .windows(2)
@@ -86,15 +77,22 @@ fn jumps(line: &[usize], disparity: &[f64], edge: f64) -> Vec<f64> {
             if a > 0.0 && b > 0.0 { b - a } else { 0.0 }
         })
         .collect();
-    let jumps = |i: usize| {
-        let least = disparity[line[i]].min(disparity[line[i + 1]]);
-        if steps[i].abs() - slope(&steps, i) > edge * least {
-            steps[i].signum()
-        } else {
-            0.0
-        }
+    let exceeds =
+        |step: f64, i: usize| step > edge * disparity[line[i]].min(disparity[line[i + 1]]);
+    let differs = |i: usize| exceeds(steps[i].abs(), i);
+    let between = |at: usize| {
+        (1..steps.len()).contains(&at)
+            && steps[at - 1] * steps[at] > 0.0
+            && differs(at - 1)
+            && differs(at)
     };
-    (0..steps.len()).map(jumps).collect()
+    let mixed = |at: usize| between(at) && !(at > 0 && between(at - 1)) && !between(at + 1);
+    for i in 0..steps.len() {
+        if exceeds(steps[i].abs() - slope(&steps, i), i) {
+            on_edge[line[i]] |= !mixed(i + 1);
+            on_edge[line[i + 1]] |= !mixed(i);
+        }
+    }
 }
 
 /// How much of step i is its surface's slope: see the head of this file.
