@@ -1,6 +1,6 @@
 //! What ARCHITECTURE.md promises about manifests and sources, checked.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -237,6 +237,39 @@ fn no_crate_turns_fusion_or_autotune_on() {
     }
 }
 
+#[test]
+fn running_and_testing_share_one_build_of_burn() {
+    // Lines such as "rayon v1.12.0 default", for packages that Burn is compiled with.
+    let tree = |args: &[&str]| -> BTreeSet<String> {
+        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+        let output = Command::new(cargo)
+            .args(["tree", "--offline", "--prefix", "none"])
+            .args(args)
+            .current_dir(root())
+            .output()
+            .expect("cargo runs");
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "cargo tree {args:?}");
+        let lines = text.lines().map(|line| line.trim_end_matches(" (*)"));
+        lines.map(str::to_owned).collect()
+    };
+    let name = |line: &String| -> String { line.split(' ').take(2).collect::<Vec<_>>().join(" ") };
+    let below: BTreeSet<String> = tree(&["--package", "burn", "--edges", "normal,build"])
+        .iter()
+        .map(name)
+        .collect();
+    let features = |args: &[&str]| -> BTreeSet<String> {
+        let lines = tree(&[args, &["--format", "{p} {f}"]].concat()).into_iter();
+        lines.filter(|line| below.contains(&name(line))).collect()
+    };
+    let all = "normal,build,dev";
+    assert_eq!(
+        features(&["--package", "limpid", "--edges", "normal,build"]),
+        features(&["--workspace", "--edges", all]),
+        "features of crates below Burn: cargo run and cargo test would each compile it"
+    );
+}
+
 /// All files below `folder` that are text of ours, in order.
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let mut entries: Vec<PathBuf> = fs::read_dir(folder)
@@ -263,6 +296,7 @@ fn sources_are_finished_and_name_no_machine() {
     let root = root();
     // Not fuzz/ whole: cargo builds in it.
     let mut files: Vec<PathBuf> = [
+        "bench",
         "crates",
         "tests",
         "xtask",

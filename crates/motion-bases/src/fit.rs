@@ -1,4 +1,4 @@
-//! The first fit: bases, coefficients and means against the 3D tracks (method facts 2.5).
+//! The first fit: bases, coefficients and means against the 3D tracks.
 //!
 //! Shape of Motion runs 1,000 steps of Adam on this loss before it renders anything. The optimiser
 //! is the caller's. All lengths are divided by the foreground's extent, so that the weights (and

@@ -1,4 +1,5 @@
-//! From 3D tracks to bases and coefficients (method facts 2.3 and 2.4).
+//! From 3D tracks to bases and coefficients: tracks whose velocities have like directions move as one, and each such cluster,
+//! aligned with itself in every frame, is a basis (Shape of Motion, Wang et al. 2024, section 3.3).
 
 use crate::MotionError;
 use crate::basis_init::{cluster_motion, without_gaps};

@@ -1,4 +1,4 @@
-//! Smoothness of the motion (method facts 5.4), in units of a scene scale that the caller gives.
+//! Smoothness of the motion, in units of a scene scale that the caller gives.
 
 use crate::motion::MotionBases;
 use burn::tensor::{Tensor, TensorData};

@@ -1,4 +1,4 @@
-//! Lifts 2D tracks to 3D by depth (method facts 2.1 and 2.2).
+//! Lifts 2D tracks to 3D by depth: a point is where its pixel's ray meets the depth of the mover in that frame.
 
 use crate::random::{Purpose, generator, sample};
 use glam::{DVec2, DVec3};
