@@ -18,6 +18,13 @@ mod init;
 mod merging;
 mod motion;
 mod procrustes;
+#[cfg(test)]
+#[path = "../../../tests/src/property.rs"]
+#[expect(
+    unreachable_pub,
+    reason = "the tests that cross crates offer it to each other"
+)]
+mod property;
 mod quaternion;
 mod rotation;
 mod smoothness;

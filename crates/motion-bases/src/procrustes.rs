@@ -82,13 +82,14 @@ fn best_rotation(covariance: Matrix3<f64>, nothing: f64) -> Option<DMat3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use arbtest::arbitrary::Unstructured;
+    use crate::property::{property, uniform};
+    use arbtest::arbitrary::{Result, Unstructured};
 
-    fn number(u: &mut Unstructured<'_>, size: f64) -> arbtest::arbitrary::Result<f64> {
-        Ok(size * (f64::from(u.int_in_range(-1_000_000..=1_000_000)?) / 1e6))
+    fn number(u: &mut Unstructured<'_>, size: f64) -> Result<f64> {
+        uniform(u, -size, size)
     }
 
-    fn vector(u: &mut Unstructured<'_>, size: f64) -> arbtest::arbitrary::Result<DVec3> {
+    fn vector(u: &mut Unstructured<'_>, size: f64) -> Result<DVec3> {
         Ok(DVec3::new(
             number(u, size)?,
             number(u, size)?,
@@ -96,7 +97,7 @@ mod tests {
         ))
     }
 
-    fn motion(u: &mut Unstructured<'_>) -> arbtest::arbitrary::Result<DAffine3> {
+    fn motion(u: &mut Unstructured<'_>) -> Result<DAffine3> {
         let axis = vector(u, 1.0)?.try_normalize().unwrap_or(DVec3::Z);
         let rotation = DQuat::from_axis_angle(axis, number(u, 3.1)?);
         Ok(DAffine3::from_rotation_translation(
@@ -112,7 +113,7 @@ mod tests {
 
     #[test]
     fn known_motions_come_back() {
-        arbtest::arbtest(|u| {
+        property("known motions", 500, |u| {
             let truth = motion(u)?;
             // Four points that span space, so that the motion is determined, and random ones.
             let mut src = vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
@@ -123,7 +124,7 @@ mod tests {
             let weights: Vec<f64> = src
                 .iter()
                 .map(|_| Ok(1.0 + number(u, 0.9)?))
-                .collect::<Result<_, _>>()?;
+                .collect::<Result<_>>()?;
             let found = procrustes(&src, &dst, &weights).expect("a motion");
             assert!(found.abs_diff_eq(truth, 1e-7), "{found:?} is not {truth:?}");
             Ok(())
@@ -181,7 +182,7 @@ mod tests {
 
     #[test]
     fn any_points_give_a_rotation() {
-        arbtest::arbtest(|u| {
+        property("any points", 500, |u| {
             let count = u.int_in_range(1..=6)?;
             let size = [1e-9, 1.0, 1e6][u.int_in_range(0..=2)?];
             let (mut src, mut dst, mut weights) = (vec![], vec![], vec![]);
