@@ -1,6 +1,6 @@
 //! The blur model at its extremes.
 
-use super::{Case, Results, scaled};
+use super::case::{Case, Results, dtype, scaled};
 use crate::{noise, tensor, unit_noise, values};
 use bpnet::{BlurField, BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, composite};
 use burn::tensor::{DType, Device, Tensor, activation::softmax};
@@ -16,7 +16,7 @@ fn blur_case(
     let inputs = vec![image, logits, intensity];
     Case::new("blur", name, inputs, move |inputs, precision| {
         let device = Device::flex().autodiff();
-        let dtype = super::dtype(precision);
+        let dtype = dtype(precision);
         let image = tensor(&inputs[0], [height, width, 3], &device, dtype).require_grad();
         let logits = tensor(&inputs[1], [height, width, k * k], &device, dtype).require_grad();
         let intensity = tensor(&inputs[2], [height, width], &device, dtype).require_grad();
@@ -59,7 +59,7 @@ fn net_case(name: &str, scale: f64, color: Vec<f64>, disparity: Vec<f64>, mask: 
     let inputs = vec![color, disparity, mask];
     Case::new("BP-Net", name, inputs, move |inputs, precision| {
         let device = Device::flex().autodiff();
-        let dtype = super::dtype(precision);
+        let dtype = dtype(precision);
         let mut net = BpNet::new(&config, &device, DType::F32).expect("a valid configuration");
         for (name, parameter) in net.parameters_mut() {
             let factor = if name.starts_with("head.") {

@@ -1,6 +1,6 @@
 //! The trainer's losses, and Adam, at their extremes.
 
-use super::{Case, Results, scaled};
+use super::case::{Case, Results, dtype, scaled};
 use crate::{noise, tensor, unit_noise, values};
 use burn::tensor::{Device, Tensor};
 use trainer::adam::{AdamOptions, AdamState, LearningRate, adam_step};
@@ -16,7 +16,7 @@ fn loss_case(
 ) -> Case {
     Case::new(op, name, vec![input], move |inputs, precision| {
         let device = Device::flex().autodiff();
-        let input = tensor(&inputs[0], shape, &device, super::dtype(precision)).require_grad();
+        let input = tensor(&inputs[0], shape, &device, dtype(precision)).require_grad();
         let loss = loss(input.clone());
         let grads = loss.backward();
         let gradient = input
@@ -55,7 +55,7 @@ fn mask_case(name: &str, target: Vec<f32>) -> Case {
 fn adam_case(name: &str, gradient: f64) -> Case {
     let inputs = vec![noise(4, 31), scaled(4, 32, gradient, 0.0)];
     Case::new("Adam", name, inputs, |inputs, precision| {
-        let dtype = super::dtype(precision);
+        let dtype = dtype(precision);
         let row = |v: &[f64]| tensor::<2>(v, [1, 4], &Device::flex(), dtype);
         let mut parameter = row(&inputs[0]);
         let mut state = AdamState::new(&parameter);

@@ -1,6 +1,6 @@
 //! The motion bases at their extremes.
 
-use super::{Case, Results, scaled};
+use super::case::{Case, Results, dtype, scaled};
 use crate::{noise, tensor, values};
 use burn::tensor::{Device, Tensor};
 use motion_bases::MotionBases;
@@ -41,7 +41,7 @@ fn case(name: &str, input: Input) -> Case {
     let inputs = vec![input.rots, input.transls, input.coefficients, input.means];
     Case::new("motion", name, inputs, move |inputs, precision| {
         let device = Device::flex().autodiff();
-        let dtype = super::dtype(precision);
+        let dtype = dtype(precision);
         let shapes = [
             [bases, frames * 6],
             [bases, frames * 3],

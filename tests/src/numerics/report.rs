@@ -1,6 +1,7 @@
 //! docs/NUMERICS.md: written by `cargo xtask numerics`, read back by the test that guards it.
 
-use super::{Measure, Row};
+use super::case::Row;
+use super::stability::Measure;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 

@@ -1,6 +1,6 @@
 //! The splatting op at its extremes.
 
-use super::{Case, Precision, Results, scaled};
+use super::case::{Case, Precision, Results, scaled};
 use crate::noise;
 use splat_core::Camera;
 use splat_core::cpu::{BackwardOptions, Real, SplatSlices, View, backward, project, rasterize};
