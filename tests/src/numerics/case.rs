@@ -25,7 +25,7 @@ pub struct Results {
 }
 
 /// How a case runs on given inputs.
-type Run = Box<dyn Fn(&[Vec<f64>], Precision) -> Results>;
+pub(super) type Run = Box<dyn Fn(&[Vec<f64>], Precision) -> Results>;
 
 /// One input of one op.
 pub struct Case {
@@ -34,8 +34,8 @@ pub struct Case {
     /// What is extreme about the input.
     pub name: String,
     /// The inputs, rounded to f32.
-    inputs: Vec<Vec<f64>>,
-    run: Run,
+    pub(super) inputs: Vec<Vec<f64>>,
+    pub(super) run: Run,
 }
 
 impl std::fmt::Debug for Case {

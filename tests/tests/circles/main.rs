@@ -69,7 +69,8 @@ impl Crate {
             let next = reader.words.peek().cloned().unwrap_or_default();
             match word.as_str() {
                 "#" if next == "[" || next == "!" => {
-                    if is_for_tests(&reader.group()) {
+                    let attribute = reader.group();
+                    if is_for_tests(&attribute) {
                         reader.skip_item();
                     }
                 }
