@@ -1,8 +1,12 @@
 //! Poses and warp together, against a scene whose every view is known in closed form.
 
 use glam::{DAffine3, DQuat, DVec2, DVec3};
+use io::{LoadOptions, Scene};
 use splat_core::{Camera, camera_center};
-use unseen_views::{Source, WarpOptions, Warped, parallel_pose, perpendicular_pose, warp};
+use std::path::Path;
+use unseen_views::{
+    Source, WarpOptions, Warped, depth_edges, parallel_pose, perpendicular_pose, warp,
+};
 
 /// A smoothly textured, slanted wall with a ball in front of it.
 const WALL: (DVec3, f64) = (DVec3::new(0.1, -0.05, -1.0), -5.0);
@@ -153,6 +157,47 @@ fn a_view_beside_the_path_is_what_a_camera_there_would_see() {
             warped.valid_fraction()
         );
         compare(&camera, &warped, &beside);
+    }
+}
+
+/// At a quarter of the demo's size, the floor's depth changes by more than 5 % from each row to the next.
+#[test]
+fn the_demo_keeps_its_floor_at_every_size() {
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("../demo");
+    for downscale in [1, 2, 4] {
+        let options = LoadOptions {
+            downscale,
+            ..LoadOptions::default()
+        };
+        let scene = Scene::open_with(&demo, &options).expect("the demo");
+        let (mut floor, mut on_edge) = (0, 0);
+        for pair in scene.frames.windows(2) {
+            let [a, b] = [&pair[0].view, &pair[1].view];
+            let depth = pair[0].depth.as_ref().expect("depth");
+            let mask = pair[0].mask.as_ref().expect("a mask");
+            let edges = depth_edges(&depth.values, depth.width, 0.05);
+            // The lowest rows show nothing but the floor and movers.
+            for i in depth.width * (depth.height * 7 / 8)..edges.len() {
+                floor += u32::from(mask.values[i] == 0.0);
+                on_edge += u32::from(mask.values[i] == 0.0 && edges[i]);
+            }
+            let source = Source {
+                camera: &a.camera,
+                cam_from_world: &a.cam_from_world,
+                color: &a.image.pixels,
+                depth: &depth.values,
+                mask: None,
+            };
+            let middle = parallel_pose(&a.cam_from_world, &b.cam_from_world).expect("a middle");
+            let warped = warp(&source, &a.camera, &middle, &WarpOptions::default());
+            let valid = warped.expect("good input").valid_fraction();
+            assert!(valid > 0.75, "1/{downscale}, {}: {valid} valid", a.name);
+        }
+        // Between a mover and the picture's border the floor is too narrow to show its slope.
+        assert!(
+            5 * on_edge < floor,
+            "1/{downscale}: {on_edge} of {floor} pixels of the floor are on an edge"
+        );
     }
 }
 

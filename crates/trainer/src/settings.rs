@@ -61,7 +61,8 @@ pub struct GaussianSettings {
     pub initial_static_per_pixel: f64,
     /// Static Gaussians start this far from the dynamic mask, in pixels of a picture 256 wide.
     pub mask_margin: f64,
-    /// A pixel with a relative jump of depth above this to a neighbour lies on a depth edge.
+    /// Pixels between which depth jumps by more than this, relatively and beyond their surface's slope, lie on a depth
+    /// edge ([`unseen_views::depth_edges`]): no Gaussian starts there, and unseen views are not warped from there.
     pub depth_edge: f64,
     /// Opacity at the start.
     pub initial_opacity: f64,
