@@ -3,7 +3,7 @@
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use splat_core::cpu::{LOW_PASS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
-use splat_core::{Camera, Gaussians};
+use splat_core::{Camera, CameraModel, Gaussians};
 
 /// Pairs whose alpha counts, seen from the origin along +z.
 #[must_use]
@@ -57,6 +57,7 @@ fn project(g: &Gaussians, camera: &Camera, i: usize) -> Option<(DVec2, [f64; 3],
     let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
     let scale = DVec3::from(g.log_scales[i].map(|s| f64::from(s).exp()));
     let factor = rotation * DMat3::from_diagonal(scale);
+    let CameraModel::Pinhole = camera.model;
     let (fx, fy) = (camera.fx / mean.z, camera.fy / mean.z);
     let rows = [
         DVec3::new(fx, 0.0, -fx * mean.x / mean.z),

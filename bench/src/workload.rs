@@ -57,7 +57,11 @@ impl Workload {
     pub fn camera(&self) -> Camera {
         let (w, h) = (self.width as f64, self.height as f64);
         let focal = w * 30.0 / 36.0;
-        Camera::pinhole(self.width, self.height, focal, focal, w / 2.0, h / 2.0)
+        Camera::pinhole(
+            [self.width, self.height],
+            [focal, focal],
+            [w / 2.0, h / 2.0],
+        )
     }
 
     /// Random Gaussians in front of the camera: z uniform in [2, 8]; x and y uniform over 1.1 times the view at that

@@ -20,7 +20,7 @@ pub const PATCH: f64 = 3.0;
 /// The camera of every frame.
 #[must_use]
 pub fn camera() -> Camera {
-    Camera::pinhole(WIDTH, HEIGHT, 40.0, 40.0, 20.0, 14.0)
+    Camera::pinhole([WIDTH, HEIGHT], [40.0, 40.0], [20.0, 14.0])
 }
 
 /// `cam_from_world` at a time.

@@ -45,7 +45,7 @@ fn try_render(inputs: &[(&'static str, usize, Vec<f32>)]) -> Result<Vec<f32>, Sp
         sh: &inputs[5].2,
     };
     let view = View {
-        camera: Camera::pinhole(9, 7, 8.0, 8.0, 4.5, 3.5),
+        camera: Camera::pinhole([9, 7], [8.0, 8.0], [4.5, 3.5]),
         cam_from_world: std::array::from_fn(|k| inputs[7].2[k].into()),
         sh_degree: 3,
     };

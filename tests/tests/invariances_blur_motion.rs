@@ -386,12 +386,9 @@ fn a_picture_warped_into_its_own_pose_comes_back() {
         let (width, height) = (u.int_in_range(1..=20)?, u.int_in_range(1..=20)?);
         let pixels = width * height;
         let camera = Camera::pinhole(
-            width,
-            height,
-            uniform(u, 5.0, 500.0)?,
-            uniform(u, 5.0, 500.0)?,
-            uniform(u, -10.0, 30.0)?,
-            uniform(u, -10.0, 30.0)?,
+            [width, height],
+            [uniform(u, 5.0, 500.0)?, uniform(u, 5.0, 500.0)?],
+            [uniform(u, -10.0, 30.0)?, uniform(u, -10.0, 30.0)?],
         );
         // Far from the origin: a point comes back to its pixel to 1e-13 of that distance.
         let far = log_uniform(u, 1.0, 1e4)?;

@@ -88,12 +88,9 @@ fn scene(u: &mut Unstructured<'_>, kind: Kind, degree: usize) -> Result<Scene> {
     );
     let size = DVec2::new(width as f64, height as f64);
     let camera = Camera::pinhole(
-        width,
-        height,
-        uniform(u, 15.0, 30.0)?,
-        uniform(u, 15.0, 30.0)?,
-        uniform(u, 0.0, size.x)?,
-        uniform(u, 0.0, size.y)?,
+        [width, height],
+        [uniform(u, 15.0, 30.0)?, uniform(u, 15.0, 30.0)?],
+        [uniform(u, 0.0, size.x)?, uniform(u, 0.0, size.y)?],
     )
     .with_near(NEAR);
     let cam_from_world = DAffine3::from_rotation_translation(rotation(u)?, vector(u, 2.0)?);

@@ -167,12 +167,12 @@ fn no_gaussian_is_no_error() {
         assert_eq!(at.len(), 2, "{name}: one for each time");
         assert_eq!(at[1].dims(), [0, 3], "{name}");
         assert_eq!(
-            values(means_acceleration(&means, &means, &means, 1.0)),
+            values(means_acceleration([&means, &means, &means], 1.0)),
             [0.0],
             "{name}"
         );
         assert_eq!(
-            values(along_ray(&means, &means, &means, DVec3::ZERO, 1.0)),
+            values(along_ray([&means, &means, &means], DVec3::ZERO, 1.0)),
             [0.0],
             "{name}"
         );
@@ -372,18 +372,16 @@ fn smoothness_has_the_right_value_and_gradient() {
             ("next", [6, 3], noise(18, 20)),
         ];
         check_gradients(&device, &means, &[], GradLimits::default(), |x| {
-            means_acceleration(&x[0], &x[1], &x[2], 2.0)
+            means_acceleration([&x[0], &x[1], &x[2]], 2.0)
         });
         let center = DVec3::new(0.5, -0.3, -4.0);
         check_gradients(&device, &means, &[], GradLimits::default(), |x| {
-            along_ray(&x[0], &x[1], &x[2], center, 2.0)
+            along_ray([&x[0], &x[1], &x[2]], center, 2.0)
         });
         // A point that recedes by 0.5 and then by 1 along the ray, at scale 2, and sideways at will.
         let point = |z: f64, side: f64| tensor(&[side, 0.0, z], [1, 3], &device, DType::F64);
         let found = along_ray(
-            &point(3.5, 9.0),
-            &point(4.0, 0.0),
-            &point(5.0, -7.0),
+            [&point(3.5, 9.0), &point(4.0, 0.0), &point(5.0, -7.0)],
             DVec3::ZERO,
             2.0,
         );
@@ -427,8 +425,8 @@ fn rest_has_no_loss_and_no_gradient() {
         let means = [mean(), mean(), mean()];
         let [prev, cur, next] = &means;
         // The camera sits in the point itself: there is no ray.
-        let losses = means_acceleration(prev, cur, next, 2.0)
-            + along_ray(prev, cur, next, DVec3::new(0.1, 0.2, 5.0), 2.0);
+        let losses = means_acceleration([prev, cur, next], 2.0)
+            + along_ray([prev, cur, next], DVec3::new(0.1, 0.2, 5.0), 2.0);
         assert_eq!(values(losses.clone()), [0.0], "{name}");
         let grads = losses.backward();
         for leaf in &means {

@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DQuat, DVec3};
 use limpid_tests::{GradLimits, check_gradients, devices, in_pool};
 use motion_bases::{
-    FitCamera, FitData, InitOptions, MotionBases, MotionError, MotionInit, Tracks3d, fit_loss,
+    Fit, FitCamera, FitData, InitOptions, MotionBases, MotionError, MotionInit, Tracks3d, fit_loss,
     initialize, positions_all_frames,
 };
 
@@ -84,7 +84,7 @@ fn two_movers(tracks_each: usize, frames: usize, noise: f64) -> Scene {
 }
 
 /// Bases, coefficients and means, with Adam's moments: a first fit in ten lines.
-struct Fit {
+struct Fitting {
     leaves: [Tensor<2>; 4],
     moments: [[Tensor<2>; 2]; 4],
     rates: [f64; 4],
@@ -92,7 +92,7 @@ struct Fit {
     data: FitData,
 }
 
-impl Fit {
+impl Fitting {
     fn new(init: &MotionInit, cameras: &[FitCamera], device: &Device, dtype: DType) -> Self {
         let bases = MotionBases::from_init(init, device, dtype);
         let (p, n) = (init.tracks.len(), init.tracks.num_frames);
@@ -129,9 +129,11 @@ impl Fit {
     fn step(&mut self, step: usize, num_steps: usize) -> f64 {
         self.leaves = self.leaves.clone().map(|leaf| leaf.detach().require_grad());
         let loss = fit_loss(
-            &self.bases(),
-            &self.leaves[2],
-            &self.leaves[3],
+            &Fit {
+                bases: &self.bases(),
+                coefficients: &self.leaves[2],
+                means: &self.leaves[3],
+            },
             &self.data,
             step,
             num_steps,
@@ -192,7 +194,7 @@ fn two_movers_are_recovered_and_the_fit_improves_them() {
                 (2..=3).contains(&init.num_bases),
                 "{what}: two rigid bodies"
             );
-            let mut fit = Fit::new(&init, &scene.cameras, &device, DType::F32);
+            let mut fit = Fitting::new(&init, &scene.cameras, &device, DType::F32);
             let before = fit.error(&init, &scene.truth);
             assert!(
                 before < 0.005 + 1.2 * noise,
@@ -229,7 +231,7 @@ fn hidden_tracks_pull_towards_their_pixels() {
         )
         .unwrap();
         // At the truth the term is zero, although the observed points lie half as deep.
-        let mut fit = Fit::new(&init, &scene.cameras, &device, DType::F64);
+        let mut fit = Fitting::new(&init, &scene.cameras, &device, DType::F64);
         let without = |tracks: &mut Tracks3d| {
             for (confidence, visible) in tracks.confidence.iter_mut().zip(&tracks.visible) {
                 if !visible {
@@ -239,7 +241,7 @@ fn hidden_tracks_pull_towards_their_pixels() {
         };
         let mut blind = init.clone();
         without(&mut blind.tracks);
-        let mut other = Fit::new(&blind, &scene.cameras, &device, DType::F64);
+        let mut other = Fitting::new(&blind, &scene.cameras, &device, DType::F64);
         for leaf in [&mut fit.leaves, &mut other.leaves] {
             // All canonical positions aside by 0.1.
             leaf[3] = leaf[3].clone() + 0.1;
@@ -298,7 +300,16 @@ fn the_loss_has_the_right_gradient() {
                     transls: x[1].clone(),
                     num_frames: n,
                 };
-                fit_loss(&bases, &x[2], &x[3], &data, step, 10)
+                fit_loss(
+                    &Fit {
+                        bases: &bases,
+                        coefficients: &x[2],
+                        means: &x[3],
+                    },
+                    &data,
+                    step,
+                    10,
+                )
             });
         }
     }
@@ -322,7 +333,7 @@ fn thin_data_can_be_fitted() {
                     },
                 )
                 .unwrap();
-                let mut fit = Fit::new(&init, &scene.cameras, &device, DType::F32);
+                let mut fit = Fitting::new(&init, &scene.cameras, &device, DType::F32);
                 for step in 0..3 {
                     let loss = fit.step(step, 3);
                     assert!(
@@ -354,7 +365,7 @@ fn tracks_dealt_into_groups_are_all_fitted() {
             },
         )
         .unwrap();
-        let mut fit = Fit::new(&init, &scene.cameras, &device, DType::F32);
+        let mut fit = Fitting::new(&init, &scene.cameras, &device, DType::F32);
         let start = fit.leaves[3].clone();
         for step in 0..2 {
             fit.step(step, 2);
@@ -417,7 +428,7 @@ fn the_fit_has_the_same_bits_with_one_thread_and_with_two() {
                     },
                 )
                 .unwrap();
-                let mut fit = Fit::new(&init, &scene.cameras, &device, DType::F32);
+                let mut fit = Fitting::new(&init, &scene.cameras, &device, DType::F32);
                 for step in 0..8 {
                     fit.step(step, 8);
                 }

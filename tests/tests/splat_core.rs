@@ -12,7 +12,7 @@ const N: usize = 5;
 const FEATURES: usize = 2;
 
 fn camera() -> Camera {
-    Camera::pinhole(19, 17, 20.0, 17.0, 8.5, 9.5)
+    Camera::pinhole([19, 17], [20.0, 17.0], [8.5, 9.5])
 }
 
 /// Named inputs of a render as matrices, wide Gaussians in front of a slightly turned camera.
@@ -299,7 +299,7 @@ fn no_gaussian_and_one_pixel_render() {
 
         let t = tensors(&device, DType::F32);
         let pixel = Viewpoint {
-            camera: Camera::pinhole(1, 1, 1.0, 1.0, 0.5, 0.5),
+            camera: Camera::pinhole([1, 1], [1.0, 1.0], [0.5, 0.5]),
             ..view(&t, 3)
         };
         let rendered = render(splats(&t), &pixel, Extra::default()).unwrap();

@@ -47,7 +47,7 @@ impl Reference {
 }
 
 fn camera() -> Camera {
-    Camera::pinhole(WIDTH, HEIGHT, 61.5, 61.5, 61.5, 41.0)
+    Camera::pinhole([WIDTH, HEIGHT], [61.5, 61.5], [61.5, 41.0])
 }
 
 fn cam_from_world() -> DAffine3 {

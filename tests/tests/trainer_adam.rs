@@ -4,7 +4,8 @@ use burn::tensor::{DType, Tensor};
 use limpid_tests::{devices, noise, property, tensor, unit_noise, values};
 use trainer::adam::{AdamState, AdamStep, LearningRate, Steps, adam_step, finite_gradient};
 use trainer::density::{
-    DensityOptions, RowEdit, RowKind, add_to_rows, gather_rows, plan_density, reset_opacity,
+    DensityOptions, DensityRows, RowEdit, RowKind, add_to_rows, gather_rows, plan_density,
+    reset_opacity,
 };
 
 /// An edit with every kind: of five rows, 3 goes, 1 is cloned, 4 is split.
@@ -267,7 +268,17 @@ fn density_plans_keep_their_promises() {
             .iter()
             .flat_map(|s| [s.ln(), -20.0, s.ln() - 1.0])
             .collect();
-        let plan = || plan_density(&average, &log_scales, &logits, num_dynamic, &options);
+        let plan = || {
+            plan_density(
+                &DensityRows {
+                    average: &average,
+                    log_scales: &log_scales,
+                    opacity_logits: &logits,
+                    num_dynamic,
+                },
+                &options,
+            )
+        };
         let edit = plan();
         assert_eq!(edit, plan(), "the same plan twice");
         assert_eq!(edit.source.len(), edit.kind.len());

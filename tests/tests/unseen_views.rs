@@ -44,7 +44,7 @@ struct View {
 }
 
 fn camera() -> Camera {
-    Camera::pinhole(96, 64, 80.0, 82.0, 47.0, 33.5)
+    Camera::pinhole([96, 64], [80.0, 82.0], [47.0, 33.5])
 }
 
 fn look(camera: &Camera, cam_from_world: &DAffine3) -> View {

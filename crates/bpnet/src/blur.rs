@@ -2,9 +2,6 @@ use burn::tensor::Tensor;
 
 use crate::{BlurField, BpNetError, composite};
 
-/// Largest side of a blur kernel, in pixels.
-pub const MAX_KERNEL_SIZE: usize = 15;
-
 /// Blurs `image` `[H, W, 3]` with a kernel of its own at every pixel, `kernel` `[H, W, K * K]`:
 ///
 /// `B(x) = Σ_j k_j(x) I(x + Δ_j) / Σ_j k_j(x)`, over those j for which `x + Δ_j` is inside the image
@@ -14,7 +11,7 @@ pub const MAX_KERNEL_SIZE: usize = 15;
 /// colour, and its kernel gets no gradient.
 ///
 /// # Errors
-/// [`BpNetError`] when K is not an odd number up to [`MAX_KERNEL_SIZE`], or when the inputs differ
+/// [`BpNetError`] when K is not an odd number up to [`MAX_KERNEL_SIZE`](crate::MAX_KERNEL_SIZE), or when the inputs differ
 /// in size or element type, or hold a value that is not finite.
 pub fn blur(image: Tensor<3>, kernel: Tensor<3>) -> Result<Tensor<3>, BpNetError> {
     let [height, width, _] = kernel.dims();

@@ -1,20 +1,22 @@
 use burn::tensor::{DType, Tensor};
+use host::first_not_finite;
 use thiserror::Error;
+
+use crate::limits::{MAX_DOWNSCALE, MAX_KERNEL_SIZE};
 
 /// What can be wrong with a blur model or with what it is given.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum BpNetError {
-    /// The kernel's side is even, zero or above [`MAX_KERNEL_SIZE`](crate::MAX_KERNEL_SIZE).
-    #[error("kernel size {kernel_size} must be odd and from 1 to {max}", max = crate::MAX_KERNEL_SIZE)]
+    /// The kernel's side is even, zero or above [`MAX_KERNEL_SIZE`].
+    #[error("kernel size {kernel_size} must be odd and from 1 to {MAX_KERNEL_SIZE}")]
     KernelSize {
         /// The side that was asked for, in pixels.
         kernel_size: usize,
     },
     /// A scale out of its range.
     #[error(
-        "features can be computed on a picture 1 to {} times smaller, not {downscale}",
-        crate::MAX_DOWNSCALE
+        "features can be computed on a picture 1 to {MAX_DOWNSCALE} times smaller, not {downscale}"
     )]
     Downscale {
         /// What was asked for.
@@ -72,7 +74,7 @@ pub enum BpNetError {
 impl BpNetError {
     /// Refuses a kernel size that the blur op is not made for.
     pub(crate) fn check_kernel_size(kernel_size: usize) -> Result<(), Self> {
-        if kernel_size % 2 == 1 && kernel_size <= crate::MAX_KERNEL_SIZE {
+        if kernel_size % 2 == 1 && kernel_size <= MAX_KERNEL_SIZE {
             Ok(())
         } else {
             Err(Self::KernelSize { kernel_size })
@@ -104,30 +106,15 @@ impl BpNetError {
         }
     }
 
-    /// Refuses a tensor [.., `width`] (in f32 or f64) that holds a value which is not finite, and says in which row of `width`.
+    /// Refuses a tensor [.., `width`] that holds a value which is not finite, and says in which row.
     pub(crate) fn check_finite<const D: usize>(
         name: &'static str,
         tensor: &Tensor<D>,
         width: usize,
     ) -> Result<(), Self> {
-        fn first<T: Copy>(values: &[T], finite: fn(T) -> bool) -> Option<usize> {
-            // All at once first: without a branch per value the check runs at memory speed.
-            let all = values.iter().fold(true, |ok, v| ok & finite(*v));
-            if all {
-                None
-            } else {
-                values.iter().position(|v| !finite(*v))
-            }
-        }
-        let data = tensor.clone().inner().into_data();
-        let at = if data.dtype() == DType::F64 {
-            first(data.as_slice().expect("f64 values"), f64::is_finite)
-        } else {
-            first(data.as_slice().expect("f32 values"), f32::is_finite)
-        };
-        match at {
+        match first_not_finite(tensor) {
             None => Ok(()),
-            Some(at) => Err(Self::NotFinite {
+            Some((at, _)) => Err(Self::NotFinite {
                 name,
                 row: at / width,
             }),

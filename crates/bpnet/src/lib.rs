@@ -35,6 +35,7 @@ mod extractor;
 mod field;
 mod init;
 mod layers;
+mod limits;
 mod net;
 #[cfg_attr(
     feature = "ndarray",
@@ -42,12 +43,12 @@ mod net;
 )]
 mod ops;
 
-pub use blur::{MAX_KERNEL_SIZE, blur};
+pub use blur::blur;
 pub use encoding::ENCODING_CHANNELS;
 pub use error::BpNetError;
 pub use extractor::FEATURE_CHANNELS;
 pub use field::{BlurField, Composite, cell_means, composite, kernel_center_loss};
+pub use limits::{MAX_DOWNSCALE, MAX_KERNEL_SIZE};
 pub use net::{
     BlurInputs, BpNet, BpNetConfig, EMBEDDING_CHANNELS, Extractor, HIDDEN_CHANNELS, HeadInit,
-    MAX_DOWNSCALE,
 };

@@ -7,15 +7,13 @@ use crate::extractor::{FEATURE_CHANNELS, INPUT_CHANNELS, features};
 use crate::field::{BlurField, cell_means};
 use crate::init::Initializer;
 use crate::layers::{Layer, constant, predict, upsample};
+use crate::limits::MAX_DOWNSCALE;
 use crate::ops::Predictor;
 
 /// Channels of the camera embedding, one row per training frame.
 pub const EMBEDDING_CHANNELS: usize = 32;
 /// Channels of BP-Net's hidden layers.
 pub const HIDDEN_CHANNELS: usize = predict::HIDDEN;
-
-/// Features and kernels are computed on a picture at most so many times smaller.
-pub const MAX_DOWNSCALE: usize = 4;
 
 /// What a blur model is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,15 +2,31 @@
 //! ([`Vectors`], [`vectorized`]), and, with the feature `burn`, the way from a backend's tensors to slices and back
 //! ([`HostBackend`]).
 //!
+//! ```
+//! use host::{Real, vectorized};
+//!
+//! /// One source for both widths: f32 is what runs, f64 its reference.
+//! fn rms<T: Real>(values: &[T]) -> T {
+//!     let square = |sum: T, v: &T| sum + *v * *v;
+//!     (values.iter().fold(T::ZERO, square) / T::of(values.len() as f64)).sqrt()
+//! }
+//! assert_eq!(vectorized(|| rms(&[3.0_f32, 4.0, 5.0, 0.0])), 12.5_f32.sqrt());
+//! assert_eq!(vectorized(|| rms(&[3.0_f64, 4.0, 5.0, 0.0])), 12.5_f64.sqrt());
+//! ```
+//!
 //! It stands below all crates of this workspace that have kernels, and knows none of them.
 
 mod buffers;
+#[cfg(feature = "burn")]
+mod finite;
 mod real;
 #[cfg(feature = "burn")]
 mod tensors;
 mod vectors;
 
 pub use buffers::filled;
+#[cfg(feature = "burn")]
+pub use finite::first_not_finite;
 pub use real::Real;
 #[cfg(feature = "burn")]
 pub use tensors::{HostBackend, HostFloat, register, tensor};

@@ -12,7 +12,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         None => std::fs::write(&path, two_gaussians())?,
     }
     let gaussians = read_ply(&path)?;
-    let camera = Camera::pinhole(320, 240, 250.0, 250.0, 160.0, 120.0);
+    let camera = Camera::pinhole([320, 240], [250.0, 250.0], [160.0, 120.0]);
     let cam_from_world = DAffine3::from_translation(DVec3::Z * 4.0);
     let view = View::new(&camera, &cam_from_world, gaussians.sh_degree);
     let raster = rasterize(&project(&gaussians.slices(), &view)?, &[], 0)?;

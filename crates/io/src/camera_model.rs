@@ -125,7 +125,7 @@ mod tests {
     fn displacement(distortion: Distortion) -> f64 {
         let lens = Lens {
             model: "X".into(),
-            camera: Camera::pinhole(200, 100, 100.0, 100.0, 100.0, 50.0),
+            camera: Camera::pinhole([200, 100], [100.0, 100.0], [100.0, 50.0]),
             distortion,
         };
         let pixels = lens.largest_displacement();

@@ -123,7 +123,7 @@ fn scaled(
     match camera.model {
         CameraModel::Pinhole => {
             let (fx, fy, cx, cy) = (x(camera.fx), y(camera.fy), x(camera.cx), y(camera.cy));
-            Camera::pinhole(width, height, fx, fy, cx, cy).with_near(camera.near)
+            Camera::pinhole([width, height], [fx, fy], [cx, cy]).with_near(camera.near)
         }
     }
 }
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn shrunk_and_resized_cameras_see_the_same_rays() {
-        let camera = Camera::pinhole(64, 48, 50.0, 51.0, 31.0, 25.5);
+        let camera = Camera::pinhole([64, 48], [50.0, 51.0], [31.0, 25.5]);
         let point = DVec3::new(0.3, -0.2, 2.0);
         let pixel = camera.project(point);
         assert!((shrink_camera(&camera, 2).project(point) * 2.0 - pixel).length() < 1e-12);

@@ -1,6 +1,6 @@
 //! What a run was asked for: scene, backend and settings, from a file, flags and `--set`.
 
-use crate::Failure;
+use crate::failure::Failure;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};

@@ -1,7 +1,7 @@
 //! `limpid eval`.
 
-use crate::Failure;
 use crate::config::Config;
+use crate::failure::Failure;
 use crate::outputs;
 use crate::render;
 use std::path::PathBuf;

@@ -2,22 +2,20 @@
 
 mod config;
 mod eval;
+mod failure;
 mod outputs;
 mod render;
 mod sheet;
 mod train;
 
 use clap::{Parser, Subcommand};
-use std::error::Error;
+use failure::with_causes;
 use std::process::ExitCode;
 
 /// An iteration frees and takes hundreds of megabytes; the system's allocator would hand them back and fault them in
 /// again, which cost a quarter of the time (docs/PERFORMANCE.md).
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
-
-/// What ends the program: a message for the user.
-type Failure = Box<dyn Error>;
 
 /// Limpid turns one blurry handheld video into a sharp 3D scene that moves.
 #[derive(Debug, Parser)]
@@ -50,13 +48,4 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
-}
-
-/// An error and what caused it, on one line.
-fn with_causes(error: &dyn Error) -> String {
-    let causes = std::iter::successors(Some(error), |&e| e.source());
-    causes
-        .map(ToString::to_string)
-        .collect::<Vec<_>>()
-        .join(": ")
 }

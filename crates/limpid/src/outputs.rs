@@ -1,7 +1,7 @@
 //! What a run leaves in its folder.
 
-use crate::Failure;
 use crate::config::{CONFIG_FILE, Config};
+use crate::failure::Failure;
 use crate::sheet;
 use io::Scene;
 use serde::Serialize;

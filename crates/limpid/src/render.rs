@@ -1,7 +1,7 @@
 //! `limpid render`.
 
-use crate::Failure;
 use crate::config::Config;
+use crate::failure::Failure;
 use crate::outputs;
 use io::Scene;
 use std::path::{Path, PathBuf};

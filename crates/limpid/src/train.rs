@@ -1,7 +1,7 @@
 //! `limpid train`.
 
-use crate::Failure;
 use crate::config::{self, Backend, CONFIG_FILE, Config};
+use crate::failure::Failure;
 use crate::outputs;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal as _;

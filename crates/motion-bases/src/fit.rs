@@ -281,9 +281,19 @@ fn posed(bases: &MotionBases, weights: Tensor<2>, means: Tensor<2>, extent: f64)
     })
 }
 
+/// What the first fit moves. Its rows belong to the tracks of [`MotionInit`], in their order.
+#[derive(Clone, Copy, Debug)]
+pub struct Fit<'a> {
+    /// The bases.
+    pub bases: &'a MotionBases,
+    /// Weights of the bases before their softmax, [P, B].
+    pub coefficients: &'a Tensor<2>,
+    /// Positions in the canonical frame, [P, 3].
+    pub means: &'a Tensor<2>,
+}
+
 /// The loss of step `step` of `num_steps` of the first fit, `[1]`.
 ///
-/// `coefficients` [P, B] and `means` [P, 3] belong to the tracks of [`MotionInit`], in their order.
 /// With P tracks over N frames, P N > 36,000, each step takes the next of ⌈P N / 36,000⌉ groups.
 /// Terms: L1 to the visible positions (weight 1), L1 to the pixels of hidden ones, trimmed (0.5),
 /// sparse coefficients (0.01), smooth bases (0.01, growing to 0.1 from 40 % of the steps on), small
@@ -292,14 +302,12 @@ fn posed(bases: &MotionBases, weights: Tensor<2>, means: Tensor<2>, extent: f64)
 /// # Panics
 /// Panics when the shapes do not fit those of the data.
 #[must_use]
-pub fn fit_loss(
-    bases: &MotionBases,
-    coefficients: &Tensor<2>,
-    means: &Tensor<2>,
-    data: &FitData,
-    step: usize,
-    num_steps: usize,
-) -> Tensor<1> {
+pub fn fit_loss(fit: &Fit<'_>, data: &FitData, step: usize, num_steps: usize) -> Tensor<1> {
+    let &Fit {
+        bases,
+        coefficients,
+        means,
+    } = fit;
     let [rows, num_bases] = coefficients.dims();
     assert!(
         rows == data.num_tracks

@@ -32,7 +32,7 @@ mod statistics;
 mod tracks;
 
 pub use error::MotionError;
-pub use fit::{FitCamera, FitData, fit_loss, positions_all_frames};
+pub use fit::{Fit, FitCamera, FitData, fit_loss, positions_all_frames};
 pub use init::{InitOptions, MotionInit, initialize};
 pub use motion::{Motion, MotionBases};
 pub use procrustes::procrustes;

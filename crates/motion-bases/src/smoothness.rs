@@ -33,15 +33,10 @@ pub fn bases_acceleration(bases: &MotionBases, scene_scale: f64) -> Tensor<1> {
 
 /// Acceleration of means, `[1]`: the mean length of their second differences, divided by `scene_scale`.
 ///
-/// `prev`, `cur` and `next` are [F, 3], the means in three consecutive frames. (The 0.5 that the
+/// `[prev, cur, next]` are [F, 3], the means in three consecutive frames. (The 0.5 that the
 /// method has here belongs to the weight.) Zero without Gaussians; at rest the gradient is zero.
 #[must_use]
-pub fn means_acceleration(
-    prev: &Tensor<2>,
-    cur: &Tensor<2>,
-    next: &Tensor<2>,
-    scene_scale: f64,
-) -> Tensor<1> {
+pub fn means_acceleration([prev, cur, next]: [&Tensor<2>; 3], scene_scale: f64) -> Tensor<1> {
     if cur.dims()[0] == 0 {
         return zero_like(cur);
     }
@@ -52,13 +47,11 @@ pub fn means_acceleration(
 /// Motion along the viewing ray, `[1]`: the mean square of the steps from `prev` to `cur` and from
 /// `cur` to `next`, projected on the ray from the camera's centre to `cur`, divided by `scene_scale`.
 ///
-/// `prev`, `cur` and `next` are means [F, 3]. Depth from one view is the least certain coordinate,
+/// `[prev, cur, next]` are means [F, 3]. Depth from one view is the least certain coordinate,
 /// and this keeps it from jittering. Zero without Gaussians.
 #[must_use]
 pub fn along_ray(
-    prev: &Tensor<2>,
-    cur: &Tensor<2>,
-    next: &Tensor<2>,
+    [prev, cur, next]: [&Tensor<2>; 3],
     camera_center: DVec3,
     scene_scale: f64,
 ) -> Tensor<1> {

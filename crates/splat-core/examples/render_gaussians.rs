@@ -23,7 +23,7 @@ fn main() -> Result<(), SplatError> {
     }
     .checked()?;
 
-    let camera = Camera::pinhole(320, 240, 250.0, 250.0, 160.0, 120.0);
+    let camera = Camera::pinhole([320, 240], [250.0, 250.0], [160.0, 120.0]);
     let cam_from_world = DAffine3::from_translation(DVec3::new(0.0, 0.0, 4.0));
     let view = View::new(&camera, &cam_from_world, gaussians.sh_degree);
     let projection = project(&gaussians.slices(), &view)?;

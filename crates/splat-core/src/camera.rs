@@ -39,9 +39,10 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A pinhole camera with a near plane at 0.01 scene units.
+    /// A pinhole camera with a near plane at 0.01 scene units, from the picture's size, the focal lengths
+    /// along x and y, and the principal point; all in pixels.
     #[must_use]
-    pub fn pinhole(width: usize, height: usize, fx: f64, fy: f64, cx: f64, cy: f64) -> Self {
+    pub fn pinhole([width, height]: [usize; 2], [fx, fy]: [f64; 2], [cx, cy]: [f64; 2]) -> Self {
         Self {
             model: CameraModel::Pinhole,
             width,

@@ -17,7 +17,7 @@
 //!     sh_degree: 0,
 //! }
 //! .checked()?;
-//! let camera = Camera::pinhole(64, 48, 50.0, 50.0, 32.0, 24.0);
+//! let camera = Camera::pinhole([64, 48], [50.0, 50.0], [32.0, 24.0]);
 //! let view = View::new(&camera, &DAffine3::IDENTITY, gaussians.sh_degree);
 //! let image = rasterize(&project(&gaussians.slices(), &view)?, &[], 0)?;
 //! assert!(image.color().all(|[red, green, _]| red >= green));

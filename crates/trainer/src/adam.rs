@@ -9,6 +9,7 @@ use crate::ops::{AdamTensors, TrainerOps};
 use crate::tensors::leaf;
 use burn::backend::Dispatch;
 use burn::tensor::{Tensor, TensorData};
+use host::first_not_finite;
 use serde::{Deserialize, Serialize};
 
 /// Learning rate of one parameter.
@@ -152,19 +153,13 @@ pub struct NonFiniteGradient {
 /// # Errors
 /// Names the first entry that is not finite.
 pub fn finite_gradient(grad: Tensor<2>) -> Result<Tensor<2>, NonFiniteGradient> {
-    let values = grad.clone().inner();
-    if <Dispatch as TrainerOps>::count_not_finite(values.clone().into_dispatch()) == 0 {
-        return Ok(grad);
-    }
-    let columns = grad.dims()[1];
-    let values = values.into_data();
-    match values.iter::<f64>().position(|g| !g.is_finite()) {
-        Some(at) => Err(NonFiniteGradient {
-            row: at / columns,
-            column: at % columns,
-            value: values.iter::<f64>().nth(at).unwrap_or(f64::NAN),
-        }),
+    match first_not_finite(&grad) {
         None => Ok(grad),
+        Some((at, value)) => Err(NonFiniteGradient {
+            row: at / grad.dims()[1],
+            column: at % grad.dims()[1],
+            value,
+        }),
     }
 }
 

@@ -42,13 +42,12 @@ impl BlurModel {
         settings: &Settings,
         scene_size: f64,
         num_frames: usize,
-        device: &Device,
-        dtype: DType,
+        options: (&Device, DType),
     ) -> Result<Self, TrainError> {
         if !settings.blur.enabled {
             return Ok(Self::Off);
         }
-        let kernels = Kernels::new(settings, scene_size, num_frames, device, dtype)?;
+        let kernels = Kernels::new(settings, scene_size, num_frames, options)?;
         Ok(Self::Kernels(Box::new(kernels)))
     }
 

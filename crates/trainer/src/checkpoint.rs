@@ -166,7 +166,7 @@ impl Run {
         };
         check_world(&world, &header)?;
         let size = header.survey.scene_size;
-        let mut blur = BlurModel::new(&header.settings, size, num_frames, &device, DType::F32)
+        let mut blur = BlurModel::new(&header.settings, size, num_frames, (&device, DType::F32))
             .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
         for (parameter, tensor) in blur.parameters_mut() {
             let read = leaf(&parameter.name)?;

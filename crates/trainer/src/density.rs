@@ -91,6 +91,19 @@ pub struct DensityOptions {
     pub max_gaussians: usize,
 }
 
+/// The Gaussians that density control judges, the dynamic ones first.
+#[derive(Clone, Copy, Debug)]
+pub struct DensityRows<'a> {
+    /// Their mean screen-space gradients, [`DensityStats::average`], `[N]`.
+    pub average: &'a [f32],
+    /// [N, 3].
+    pub log_scales: &'a [f32],
+    /// `[N]`.
+    pub opacity_logits: &'a [f32],
+    /// How many are dynamic.
+    pub num_dynamic: usize,
+}
+
 /// What happens to one old row.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Fate {
@@ -109,18 +122,16 @@ enum Fate {
 /// Gaussian are never removed, so that neither kind dies out. Within a kind the order is: rows that stay, clones,
 /// children, each by old row.
 ///
-/// `average` `[N]` is [`DensityStats::average`], `log_scales` [N, 3], `opacity_logits` `[N]`.
-///
 /// # Panics
 /// Panics if the lengths do not agree or `num_dynamic` exceeds N.
 #[must_use]
-pub fn plan_density(
-    average: &[f32],
-    log_scales: &[f32],
-    opacity_logits: &[f32],
-    num_dynamic: usize,
-    options: &DensityOptions,
-) -> RowEdit {
+pub fn plan_density(gaussians: &DensityRows<'_>, options: &DensityOptions) -> RowEdit {
+    let &DensityRows {
+        average,
+        log_scales,
+        opacity_logits,
+        num_dynamic,
+    } = gaussians;
     let rows = opacity_logits.len();
     assert_eq!(average.len(), rows, "one mean gradient per Gaussian");
     assert_eq!(log_scales.len(), 3 * rows, "three log-scales per Gaussian");

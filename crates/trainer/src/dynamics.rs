@@ -13,7 +13,8 @@ use crate::world::{GaussianTensors, MotionModel, World};
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DMat3, DVec3};
 use io::Scene;
-use motion_bases::{FitCamera, FitData, InitOptions, MotionBases, fit_loss, initialize};
+use motion_bases::{Fit, FitCamera, FitData, InitOptions, MotionBases, fit_loss, initialize};
+use splat_core::CameraModel;
 use unseen_views::depth_edges;
 
 /// Tracks lie on a grid, so that few are needed: from this many visible ones on, Gaussians are placed
@@ -57,6 +58,8 @@ pub(crate) fn start_dynamics(
         .iter()
         .map(|f| {
             let c = &f.view.camera;
+            // What the first fit projects with.
+            let CameraModel::Pinhole = c.model;
             FitCamera {
                 cam_from_world: f.view.cam_from_world,
                 fx: c.fx,
@@ -93,7 +96,12 @@ pub(crate) fn start_dynamics(
             transls: transls.clone(),
             num_frames: frames,
         };
-        let loss = fit_loss(&motion, &coefficients, &means, &data, step, steps);
+        let fit = Fit {
+            bases: &motion,
+            coefficients: &coefficients,
+            means: &means,
+        };
+        let loss = fit_loss(&fit, &data, step, steps);
         let mut grads = loss.backward();
         let decay = 0.1_f64.powf(step as f64 / steps as f64);
         let groups = [
@@ -247,8 +255,7 @@ pub(crate) fn densify(
             &seeds,
             settings.gaussians.initial_opacity,
             world.sh_degree(),
-            device,
-            world.means.dtype(),
+            (device, world.means.dtype()),
         ),
         parents,
     })

@@ -1,6 +1,8 @@
 //! Everything that is trained: the sharp world, and how frames of it were blurred.
 
-use crate::blur::BlurModel;
+use crate::TrainError;
+use crate::blur::{BlurModel, Shown};
+use crate::look::Look;
 use crate::parameter::Parameter;
 use crate::tensors::constant;
 use crate::world::World;
@@ -55,6 +57,11 @@ impl Model {
             *tensor = constant(tensor);
         }
         Self { world, blur }
+    }
+
+    /// What it shows at a look; see [`BlurModel::show`].
+    pub(crate) fn show(&self, look: &Look<'_>, fixed: Option<&Shown>) -> Result<Shown, TrainError> {
+        self.blur.show(&self.world, look, fixed)
     }
 
     /// Plain arrays for a file: the scene at a time (training frames, may be fractional), or the canonical scene.

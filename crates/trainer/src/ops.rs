@@ -38,9 +38,6 @@ pub(crate) trait TrainerOps: Backend {
         update: AdamUpdate,
     ) -> AdamTensors<Self>;
 
-    /// Number of entries that are infinite or not a number.
-    fn count_not_finite(values: FloatTensor<Self>) -> usize;
-
     /// Fits the `given` depth [H, W] to a rendered `depth` and `alpha`, both `[H, W]`.
     fn depth_targets(
         depth: FloatTensor<Self>,

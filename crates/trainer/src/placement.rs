@@ -5,6 +5,7 @@ use crate::random::{Purpose, generator, sample};
 use crate::settings::GaussianSettings;
 use glam::{DVec2, DVec3};
 use io::{Frame, Map, Scene};
+use splat_core::CameraModel;
 use unseen_views::depth_edges;
 
 /// Gaussians before they are tensors: isotropic, without rotation.
@@ -53,7 +54,9 @@ pub(crate) fn place_static(scene: &Scene, settings: &GaussianSettings, seed: u64
             let z = f64::from(depth.values[i]);
             means.push(lift(frame, i, z));
             colors.push(pixel_color(frame, i));
-            half_pixels.push(0.5 * z / frame.view.camera.fx);
+            half_pixels.push(match frame.view.camera.model {
+                CameraModel::Pinhole => 0.5 * z / frame.view.camera.fx,
+            });
         }
     }
     with_neighbor_scales(means, colors, &half_pixels)

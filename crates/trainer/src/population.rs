@@ -1,8 +1,8 @@
 //! How the set of Gaussians changes: dynamic densification, density control and opacity reset, each at its moment.
 
 use crate::density::{
-    DensityOptions, DensityStats, RowEdit, add_to_rows, gather_rows, plan_density, reset_opacity,
-    split_offsets,
+    DensityOptions, DensityRows, DensityStats, RowEdit, add_to_rows, gather_rows, plan_density,
+    reset_opacity, split_offsets,
 };
 use crate::dynamics::{densify, densify_share};
 use crate::optimizer::edit_of;
@@ -105,10 +105,12 @@ impl State {
         let (log_scales, quats) = (host(world.log_scales.clone()), host(world.quats.clone()));
         let logits = host(world.opacity_logits.clone());
         let edit = plan_density(
-            &self.density.average(),
-            &log_scales,
-            &logits,
-            world.num_dynamic,
+            &DensityRows {
+                average: &self.density.average(),
+                log_scales: &log_scales,
+                opacity_logits: &logits,
+                num_dynamic: world.num_dynamic,
+            },
             &options,
         );
         let offsets = split_offsets(

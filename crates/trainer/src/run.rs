@@ -1,7 +1,7 @@
 //! A run: what was decided and what has been learned. It needs no data set to be rendered, exported and looked at.
 
 use crate::TrainError;
-use crate::blur::{Shown, ViewBlur};
+use crate::blur::ViewBlur;
 use crate::look::Look;
 use crate::model::Model;
 use crate::plan::Plan;
@@ -101,7 +101,7 @@ impl Run {
     pub(crate) fn render_viewpoint(&self, viewpoint: &CameraView) -> Result<Image, TrainError> {
         let model = self.state.model.detached();
         let look = self.look(viewpoint, self.iteration());
-        let shown = model.blur.show(&model.world, &look, None)?;
+        let shown = model.show(&look, None)?;
         Ok(to_image(shown.rendered.color()))
     }
 
@@ -118,7 +118,7 @@ impl Run {
             frame: Some(frame),
             ..self.look(&self.plan.views.train[frame], self.iteration())
         };
-        let shown = model.blur.show(&model.world, &look, None)?;
+        let shown = model.show(&look, None)?;
         Ok(TrainingView {
             sharp: to_image(shown.rendered.color()),
             seen: to_image(shown.seen),
@@ -126,22 +126,13 @@ impl Run {
         })
     }
 
-    /// What `model`, this run's own or one like it, shows of a view that is learned from.
-    pub(crate) fn show_view(
-        &self,
-        model: &Model,
-        it: usize,
-        view: &ViewRef<'_>,
-        fixed: Option<&Shown>,
-        screen_grad: Option<Tensor<1>>,
-    ) -> Result<Shown, TrainError> {
-        let look = Look {
+    /// A look at a view that is learned from, at iteration `it`.
+    pub(crate) fn look_at<'a>(&self, view: &'a ViewRef<'a>, it: usize) -> Look<'a> {
+        Look {
             frame: Some(view.frame),
             view: Some(view),
-            screen_grad,
             ..self.look(view.viewpoint, it)
-        };
-        model.blur.show(&model.world, &look, fixed)
+        }
     }
 
     /// A look from a viewpoint as a sharp camera has it, at iteration `it`.

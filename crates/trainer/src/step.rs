@@ -2,9 +2,10 @@
 
 use crate::TrainError;
 use crate::adam::{AdamStep, NonFiniteGradient, finite_gradient};
+use crate::look::Look;
 use crate::metrics::psnr_of;
 use crate::model::Model;
-use crate::objective::objective;
+use crate::objective::Objective;
 use crate::optimizer::learning_rate;
 use crate::parameter::Parameter;
 use crate::run::Run;
@@ -58,13 +59,19 @@ impl Trainer {
         let gathers = plan.schedule.gathers_density(it);
         let screen_grad =
             gathers.then(|| Tensor::<1>::zeros([model.num_gaussians()], device).require_grad());
-        let shown = self
-            .run
-            .show_view(model, it, &view, None, screen_grad.clone())?;
+        let look = Look {
+            screen_grad: screen_grad.clone(),
+            ..self.run.look_at(&view, it)
+        };
+        let shown = model.show(&look, None)?;
         let target = shown.target(&view);
         let psnr = trace_span!("psnr").in_scope(|| psnr_of(&shown.seen, &target, view.valid));
-        let terms = trace_span!("losses")
-            .in_scope(|| objective(plan, &model.world, &view, &shown, &shown, target));
+        let objective = Objective {
+            plan,
+            world: &model.world,
+            view: &view,
+        };
+        let terms = trace_span!("losses").in_scope(|| objective.terms(&shown, &shown, target));
 
         let (names, values): (Vec<_>, Vec<_>) = terms.0.into_iter().unzip();
         let stacked = Tensor::cat(values, 0);
@@ -136,10 +143,14 @@ impl Trainer {
             parameter: parameter.to_owned(),
             problem,
         };
+        let objective = Objective {
+            plan: &self.run.plan,
+            world: &model.world,
+            view,
+        };
         let terms = || -> Result<_, TrainError> {
-            let shown = self.run.show_view(model, it, view, None, None)?;
-            let target = shown.target(view);
-            Ok(objective(&self.run.plan, &model.world, view, &shown, &shown, target).0)
+            let shown = model.show(&self.run.look_at(view, it), None)?;
+            Ok(objective.terms(&shown, &shown, shown.target(view)).0)
         };
         for index in 0..=terms()?.len() {
             // Each pass back uses its graph up.
@@ -151,10 +162,7 @@ impl Trainer {
                 ("all", Tensor::cat(values, 0).sum())
             };
             let value = host(loss.clone().detach())[0];
-            // A term may be a constant, such as the second differences of two frames.
-            if loss.is_tracked()
-                && let Err((parameter, problem)) = take_gradients(model, &mut loss.backward())
-            {
+            if let Err((parameter, problem)) = check_gradients(model, &loss) {
                 let problem = format!("the gradient is not finite ({problem})");
                 return Ok(fault(term, &parameter.name, problem));
             }
@@ -165,6 +173,15 @@ impl Trainer {
         let problem = "not finite at first, but finite when computed again".to_owned();
         Ok(fault("all", "none", problem))
     }
+}
+
+/// Names the first parameter to which a loss gives a gradient that is not finite.
+fn check_gradients(model: &Model, loss: &Tensor<1>) -> Result<(), (Parameter, NonFiniteGradient)> {
+    // A constant, such as the second differences of two frames, gives none and has no graph to go back through.
+    if loss.is_tracked() {
+        take_gradients(model, &mut loss.backward())?;
+    }
+    Ok(())
 }
 
 /// The gradients of all parameters in their order, `None` for one that has none; or the first that is not finite, and where.
@@ -178,4 +195,38 @@ fn take_gradients(
         grad.transpose().map_err(|problem| (parameter, problem))
     };
     model.parameters().into_iter().map(take).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::blur::BlurModel;
+    use crate::world::World;
+    use burn::tensor::Device;
+
+    #[test]
+    fn a_constant_gives_no_gradient_and_a_fault_has_a_name() {
+        let device = Device::flex().autodiff();
+        let leaf = |columns| Tensor::<2>::ones([2, columns], &device).require_grad();
+        let model = Model {
+            world: World {
+                means: leaf(3),
+                quats: leaf(4),
+                log_scales: leaf(3),
+                opacity_logits: leaf(1),
+                sh: leaf(3),
+                num_dynamic: 0,
+                motion: None,
+            },
+            blur: BlurModel::Off,
+        };
+        let constant = Tensor::<1>::zeros([1], &device);
+        assert!(check_gradients(&model, &constant).is_ok());
+        let loss = || model.world.quats.clone().sum();
+        assert!(check_gradients(&model, &(loss() + constant)).is_ok());
+        let fault = check_gradients(&model, &(loss() * f32::INFINITY));
+        let (parameter, problem) = fault.expect_err("an infinite gradient");
+        assert_eq!(parameter.name, "gaussians.quats");
+        assert_eq!((problem.row, problem.column), (0, 0));
+    }
 }

@@ -6,7 +6,7 @@ use crate::checkpoint::FILE_NAME;
 use crate::dynamics::start_dynamics;
 use crate::error::{CheckpointProblem, SceneProblem};
 use crate::model::Model;
-use crate::objective::objective;
+use crate::objective::Objective;
 use crate::placement::{Seeds, place_points, place_static};
 use crate::plan::{Plan, schedule_of};
 use crate::random::{Purpose, generator, permutation};
@@ -93,8 +93,7 @@ impl Trainer {
             &seeds,
             settings.gaussians.initial_opacity,
             settings.gaussians.sh_degree,
-            &device,
-            dtype,
+            (&device, dtype),
         );
         let size = survey.scene_size;
         let model = Model {
@@ -107,7 +106,7 @@ impl Trainer {
                 num_dynamic,
                 motion,
             },
-            blur: BlurModel::new(&settings, size, scene.frames.len(), &device, dtype)?,
+            blur: BlurModel::new(&settings, size, scene.frames.len(), (&device, dtype))?,
         };
         let views = Views::of(&scene, settings.gaussians.near * size);
         let unseen = unseen_views(&scene, &views, &settings, size)?;
@@ -292,10 +291,15 @@ impl Trainer {
     ) -> Result<Vec<(&'static str, Tensor<1>)>, TrainError> {
         let plan = &self.run.plan;
         let view = ViewRef::training(&plan.views, &self.data.scene, frame);
-        let fixed = self.run.show_view(fixed, it, &view, None, None)?;
-        let shown = self.run.show_view(model, it, &view, Some(&fixed), None)?;
-        let target = shown.target(&view);
-        Ok(objective(plan, &model.world, &view, &shown, &fixed, target).0)
+        let look = self.run.look_at(&view, it);
+        let fixed = fixed.show(&look, None)?;
+        let shown = model.show(&look, Some(&fixed))?;
+        let objective = Objective {
+            plan,
+            world: &model.world,
+            view: &view,
+        };
+        Ok(objective.terms(&shown, &fixed, shown.target(&view)).0)
     }
 
     /// The view that iteration `it` learns from: every epoch shows each training frame once, in an order of its own, and so for

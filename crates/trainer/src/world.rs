@@ -63,13 +63,12 @@ impl GaussianTensors {
         seeds: &Seeds,
         opacity: f64,
         degree: usize,
-        device: &Device,
-        dtype: DType,
+        options: (&Device, DType),
     ) -> Self {
         let n = seeds.means.len();
         let columns = 3 * (degree + 1) * (degree + 1);
         let tensor = |values: Vec<f64>, width: usize| {
-            Tensor::<2>::from_data(TensorData::new(values, [n, width]), (device, dtype))
+            Tensor::<2>::from_data(TensorData::new(values, [n, width]), options)
         };
         let mut sh = vec![0.0; n * columns];
         for (row, color) in sh.chunks_mut(columns).zip(&seeds.colors) {

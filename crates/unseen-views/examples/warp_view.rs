@@ -7,7 +7,7 @@ use unseen_views::{Source, WarpError, WarpOptions, parallel_pose, perpendicular_
 
 fn main() -> Result<(), WarpError> {
     let (width, height) = (64, 48);
-    let camera = Camera::pinhole(width, height, 60.0, 60.0, 32.0, 24.0);
+    let camera = Camera::pinhole([width, height], [60.0, 60.0], [32.0, 24.0]);
     // A checkered wall 4 units away.
     let square = |i: usize| ((i % width / 8 + i / width / 8) % 2) as f32;
     let color: Vec<f32> = (0..width * height).flat_map(|i| [square(i); 3]).collect();

@@ -46,7 +46,7 @@ fn ordinary(n: usize) -> Input {
         sh,
         features: noise(n, 7),
         pose: vec![c, 0.0, s, 0.1, 0.0, 1.0, 0.0, -0.2, -s, 0.0, c, 0.3],
-        camera: Camera::pinhole(33, 21, 30.0, 28.0, 15.5, 11.0).with_near(NEAR),
+        camera: Camera::pinhole([33, 21], [30.0, 28.0], [15.5, 11.0]).with_near(NEAR),
     }
 }
 
@@ -153,7 +153,7 @@ pub(super) fn cases() -> Vec<Case> {
     let sized = |width: usize, height: usize| {
         move |i: &mut Input| {
             let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-            i.camera = Camera::pinhole(width, height, 30.0, 28.0, cx, cy).with_near(NEAR);
+            i.camera = Camera::pinhole([width, height], [30.0, 28.0], [cx, cy]).with_near(NEAR);
         }
     };
     vec![
@@ -197,11 +197,11 @@ pub(super) fn cases() -> Vec<Case> {
             i.pose[11] = -1e6;
         }),
         plain("focal length of 1 px", &|i| {
-            i.camera = Camera::pinhole(33, 21, 1.0, 1.0, 16.5, 10.5).with_near(NEAR);
+            i.camera = Camera::pinhole([33, 21], [1.0, 1.0], [16.5, 10.5]).with_near(NEAR);
         }),
         plain("focal length of 1e5 px", &|i| {
             level(i);
-            i.camera = Camera::pinhole(33, 21, 1e5, 1e5, 16.5, 10.5).with_near(NEAR);
+            i.camera = Camera::pinhole([33, 21], [1e5, 1e5], [16.5, 10.5]).with_near(NEAR);
             for m in i.means.chunks_exact_mut(3) {
                 (m[0], m[1]) = (m[0] * 3e-4, m[1] * 3e-4);
             }
@@ -230,7 +230,7 @@ pub(super) fn cases() -> Vec<Case> {
             for (k, m) in i.means.chunks_exact_mut(3).enumerate() {
                 m[2] = 2.0 + 1e-4 * k as f64;
             }
-            i.camera = Camera::pinhole(16, 16, 16.0, 16.0, 8.0, 8.0).with_near(NEAR);
+            i.camera = Camera::pinhole([16, 16], [16.0, 16.0], [8.0, 8.0]).with_near(NEAR);
             // So wide that alpha is the same at every pixel, far above the threshold, and all stop early at one Gaussian.
             i.log_scales.fill(12.0);
             i.opacity_logits.fill(-4.0);
@@ -286,7 +286,7 @@ mod tests {
             let (width, height) = (side(u)?, side(u)?);
             let focal = [1.0, 30.0, 1e5][uniform(u, 0.0, 2.9)? as usize];
             let (cx, cy) = (uniform(u, -50.0, 50.0)?, 0.5 * height as f64);
-            i.camera = Camera::pinhole(width, height, focal, 30.0, cx, cy).with_near(NEAR);
+            i.camera = Camera::pinhole([width, height], [focal, 30.0], [cx, cy]).with_near(NEAR);
             let case = case("mixture", i);
             for precision in [Precision::F32, Precision::F64] {
                 let results = (case.run)(&case.inputs, precision);

@@ -221,7 +221,7 @@ fn length_at_rest() -> Measure {
         place: "smoothness of motion",
         what: "a floor under the root; gradient of an acceleration of zero",
         without: largest(plain, &b),
-        with: largest(means_acceleration(&a, &b, &c, 1.0), &b),
+        with: largest(means_acceleration([&a, &b, &c], 1.0), &b),
     }
 }
 

@@ -116,12 +116,9 @@ pub(super) fn lens(
     Ok(Lens {
         model: model.into(),
         camera: Camera::pinhole(
-            width as usize,
-            height as usize,
-            focal.0,
-            focal.1,
-            center.0,
-            center.1,
+            [width as usize, height as usize],
+            [focal.0, focal.1],
+            [center.0, center.1],
         ),
         distortion,
     })

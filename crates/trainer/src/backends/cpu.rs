@@ -19,10 +19,6 @@ macro_rules! host_ops {
                 with_float!(gradient.dtype(), T => adam_on::<T, Self>(tensors, gradient, &update))
             }
 
-            fn count_not_finite(mut values: FloatTensor<Self>) -> usize {
-                with_float!(values.dtype(), T => reduce::count_not_finite(&Self::elements::<T>(&mut values)))
-            }
-
             fn depth_targets(
                 depth: FloatTensor<Self>,
                 alpha: FloatTensor<Self>,

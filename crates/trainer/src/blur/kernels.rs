@@ -81,8 +81,7 @@ impl Kernels {
         settings: &Settings,
         scene_size: f64,
         num_frames: usize,
-        device: &Device,
-        dtype: DType,
+        (device, dtype): (&Device, DType),
     ) -> Result<Self, TrainError> {
         let (blur, loss) = (&settings.blur, &settings.loss);
         let config = BpNetConfig {

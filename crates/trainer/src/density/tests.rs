@@ -38,12 +38,14 @@ fn average_counts_only_what_was_drawn() {
 #[test]
 fn small_is_cloned_large_is_split_faint_and_huge_are_removed() {
     use RowKind::{Clone, Kept, SplitChild};
+    // dynamic: 0 split, 1 clone, 2 stays; static: 3 clone, 4 faint, 5 huge, 6 huge but split into what stays
     let edit = plan_density(
-        // dynamic: 0 split, 1 clone, 2 stays; static: 3 clone, 4 faint, 5 huge, 6 huge but split into what stays
-        &[3e-4, 2e-4, 1.9e-4, 1.0, 1.0, 0.0, 1.0],
-        &scales(&[0.05, 0.005, 0.05, 0.001, 0.001, 0.2, 0.12]),
-        &logits(&[0.5, 0.5, 0.5, 0.5, 0.004, 0.4, 0.3]),
-        3,
+        &DensityRows {
+            average: &[3e-4, 2e-4, 1.9e-4, 1.0, 1.0, 0.0, 1.0],
+            log_scales: &scales(&[0.05, 0.005, 0.05, 0.001, 0.001, 0.2, 0.12]),
+            opacity_logits: &logits(&[0.5, 0.5, 0.5, 0.5, 0.004, 0.4, 0.3]),
+            num_dynamic: 3,
+        },
         &OPTIONS,
     );
     assert_eq!(
@@ -69,10 +71,12 @@ fn scale_is_pruned_only_when_the_schedule_asks() {
     let (small, large) = (scales(&[0.01, 5.0]), logits(&[0.5, 0.5]));
     let plan = |prune_scale| {
         plan_density(
-            &[0.0; 2],
-            &small,
-            &large,
-            0,
+            &DensityRows {
+                average: &[0.0; 2],
+                log_scales: &small,
+                opacity_logits: &large,
+                num_dynamic: 0,
+            },
             &DensityOptions {
                 prune_scale,
                 ..OPTIONS
@@ -86,10 +90,12 @@ fn scale_is_pruned_only_when_the_schedule_asks() {
 #[test]
 fn where_room_is_short_the_largest_gradients_win() {
     let edit = plan_density(
-        &[1.0, 3.0, 2.0, 3.0],
-        &scales(&[0.001; 4]),
-        &logits(&[0.5; 4]),
-        0,
+        &DensityRows {
+            average: &[1.0, 3.0, 2.0, 3.0],
+            log_scales: &scales(&[0.001; 4]),
+            opacity_logits: &logits(&[0.5; 4]),
+            num_dynamic: 0,
+        },
         &DensityOptions {
             max_gaussians: 6,
             ..OPTIONS
@@ -97,10 +103,12 @@ fn where_room_is_short_the_largest_gradients_win() {
     );
     assert_eq!(edit.source, [0, 1, 2, 3, 1, 3]);
     let full = plan_density(
-        &[1.0; 4],
-        &scales(&[0.001; 4]),
-        &logits(&[0.5; 4]),
-        0,
+        &DensityRows {
+            average: &[1.0; 4],
+            log_scales: &scales(&[0.001; 4]),
+            opacity_logits: &logits(&[0.5; 4]),
+            num_dynamic: 0,
+        },
         &DensityOptions {
             max_gaussians: 2,
             ..OPTIONS
@@ -112,15 +120,25 @@ fn where_room_is_short_the_largest_gradients_win() {
 #[test]
 fn neither_kind_dies_out() {
     let edit = plan_density(
-        &[1.0; 4],
-        &scales(&[0.001; 4]),
-        &logits(&[1e-3, 2e-3, 1e-4, 1e-4]),
-        2,
+        &DensityRows {
+            average: &[1.0; 4],
+            log_scales: &scales(&[0.001; 4]),
+            opacity_logits: &logits(&[1e-3, 2e-3, 1e-4, 1e-4]),
+            num_dynamic: 2,
+        },
         &OPTIONS,
     );
     assert_eq!(edit.source, [1, 2]);
     assert_eq!(edit.num_dynamic, 1);
-    let none = plan_density(&[], &[], &[], 0, &OPTIONS);
+    let none = plan_density(
+        &DensityRows {
+            average: &[],
+            log_scales: &[],
+            opacity_logits: &[],
+            num_dynamic: 0,
+        },
+        &OPTIONS,
+    );
     assert!(none.is_empty(), "no Gaussian goes in, none comes out");
 }
 

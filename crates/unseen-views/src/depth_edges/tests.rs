@@ -69,7 +69,7 @@ fn plane(u: &mut Unstructured<'_>) -> Result<Picture> {
     let size = DVec2::new(width as f64, height as f64);
     let focal = size.x * uniform(u, 0.2, 4.0)?;
     let middle = size * DVec2::new(uniform(u, 0.0, 1.0)?, uniform(u, 0.0, 1.0)?);
-    let camera = Camera::pinhole(width, height, focal, 1.1 * focal, middle.x, middle.y);
+    let camera = Camera::pinhole([width, height], [focal, 1.1 * focal], [middle.x, middle.y]);
     let ray =
         |x: usize, y: usize| camera.unproject(DVec2::new(x as f64 + 0.5, y as f64 + 0.5), 1.0);
     let tilt = DVec2::from_angle(uniform(u, 0.0, std::f64::consts::TAU)?);

@@ -53,12 +53,9 @@ impl Picture {
 /// A camera with its principal point off the middle.
 fn camera(width: usize, height: usize) -> Camera {
     Camera::pinhole(
-        width,
-        height,
-        8.0,
-        8.5,
-        0.45 * width as f64,
-        0.6 * height as f64,
+        [width, height],
+        [8.0, 8.5],
+        [0.45 * width as f64, 0.6 * height as f64],
     )
 }
 
@@ -332,7 +329,7 @@ fn the_unit_of_length_does_not_matter() {
 
 #[test]
 fn a_picture_of_one_pixel_and_a_target_of_another_size() {
-    let one = Picture::new(Camera::pinhole(1, 1, 1.0, 1.0, 0.5, 0.5), |_, _| {
+    let one = Picture::new(Camera::pinhole([1, 1], [1.0, 1.0], [0.5, 0.5]), |_, _| {
         (0.75, 3.0)
     });
     let warped = one.to(&DAffine3::IDENTITY, &WarpOptions::default());
@@ -342,7 +339,11 @@ fn a_picture_of_one_pixel_and_a_target_of_another_size() {
     // Halving the target maps pixel (1, 1) of 4 by 4, centre (1.5, 1.5), to (0.75, 0.75).
     let square = |size: usize| {
         let size_px = size as f64;
-        Camera::pinhole(size, size, size_px, size_px, 0.5 * size_px, 0.5 * size_px)
+        Camera::pinhole(
+            [size, size],
+            [size_px, size_px],
+            [0.5 * size_px, 0.5 * size_px],
+        )
     };
     let picture = Picture::new(square(4), |x, _| (x as f32 / 4.0, 2.0));
     let half = warp(

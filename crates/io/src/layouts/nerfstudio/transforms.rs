@@ -142,12 +142,12 @@ impl Transforms {
         Ok(Lens {
             model,
             camera: Camera::pinhole(
-                width,
-                height,
-                fx,
-                get(|i| i.fl_y).unwrap_or(fx),
-                get(|i| i.cx).unwrap_or(width as f64 / 2.0),
-                get(|i| i.cy).unwrap_or(height as f64 / 2.0),
+                [width, height],
+                [fx, get(|i| i.fl_y).unwrap_or(fx)],
+                [
+                    get(|i| i.cx).unwrap_or(width as f64 / 2.0),
+                    get(|i| i.cy).unwrap_or(height as f64 / 2.0),
+                ],
             ),
             distortion,
         })

@@ -15,7 +15,7 @@ fn with_threads<R: Send>(threads: usize, run: impl FnOnce() -> R + Send) -> R {
 fn same_bits_with_one_and_two_threads() {
     let mut case = random_case(50, 3000, 3, 1, 700).cast::<f32>();
     case.log_scales.iter_mut().for_each(|s| *s -= 1.5);
-    case.camera = Camera::pinhole(150, 90, 120.0, 110.0, 70.0, 50.0);
+    case.camera = Camera::pinhole([150, 90], [120.0, 110.0], [70.0, 50.0]);
     let v_output: Vec<f32> = Random(8)
         .fill(150 * 90 * 6, -1.0, 1.0)
         .into_iter()
@@ -49,7 +49,7 @@ fn same_bits_with_one_and_two_threads() {
 fn extremes_stay_finite() {
     // Scales 1e-8 to 1e4 in every mixture, opacity logits of ±40, a zero and a huge quaternion, means
     // on the camera plane, at the near plane, behind and 1e6 away, a mean at the camera's centre.
-    let camera = Camera::pinhole(20, 18, 30.0, 30.0, 10.0, 9.0);
+    let camera = Camera::pinhole([20, 18], [30.0, 30.0], [10.0, 9.0]);
     let far = [
         [0.0, 0.0, 2.0],
         [0.3, -0.2, 0.0],

@@ -159,7 +159,7 @@ fn f32_gradients_agree_with_f64() {
 #[test]
 fn clamped_alpha_passes_no_gradient() {
     let mut case = one_ahead(0.5);
-    case.camera = Camera::pinhole(1, 1, 4.0, 4.0, 0.5, 0.5);
+    case.camera = Camera::pinhole([1, 1], [4.0, 4.0], [0.5, 0.5]);
     case.logits[0] = 20.0;
     let output = case.render().output;
     assert!((output[3] - MAX_ALPHA).abs() < 1e-15, "alpha {}", output[3]);
@@ -173,7 +173,7 @@ fn clamped_alpha_passes_no_gradient() {
 fn early_stop_hides_what_lies_behind() {
     let one = one_ahead(0.5);
     let mut case = one.clone();
-    case.camera = Camera::pinhole(1, 1, 4.0, 4.0, 0.5, 0.5);
+    case.camera = Camera::pinhole([1, 1], [4.0, 4.0], [0.5, 0.5]);
     for k in 1..200 {
         case.means.extend([0.0, 0.0, 2.0 + 0.01 * f64::from(k)]);
         case.quats.extend(&one.quats);

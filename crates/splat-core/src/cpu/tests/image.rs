@@ -217,7 +217,7 @@ fn thin_needles_keep_their_digits_in_f32() {
     // Ten thousand pixels long and under a pixel wide: a determinant from the products of the
     // covariance's entries would be noise in f32.
     let mut case = one_ahead(0.9);
-    case.camera = Camera::pinhole(32, 32, 30.0, 30.0, 16.0, 16.0);
+    case.camera = Camera::pinhole([32, 32], [30.0, 30.0], [16.0, 16.0]);
     case.quats = vec![0.9, 0.1, 0.2, 0.3];
     case.log_scales = vec![(1e3_f64).ln(), (1e-3_f64).ln(), (1e-3_f64).ln()];
     let exact = case.render().output;
@@ -238,12 +238,9 @@ fn random_scenes_agree_with_the_textbook_renderer() {
         let mut r = Random(seed);
         let mut case = random_case(seed, r.uniform(1.0, 41.0) as usize, 1, 1, 0);
         case.camera = Camera::pinhole(
-            r.uniform(1.0, 41.0) as usize,
-            r.uniform(1.0, 41.0) as usize,
-            r.uniform(5.0, 60.0),
-            r.uniform(5.0, 60.0),
-            r.uniform(-10.0, 50.0),
-            r.uniform(-10.0, 50.0),
+            [r.uniform(1.0, 41.0) as usize, r.uniform(1.0, 41.0) as usize],
+            [r.uniform(5.0, 60.0), r.uniform(5.0, 60.0)],
+            [r.uniform(-10.0, 50.0), r.uniform(-10.0, 50.0)],
         );
         let shrink = r.uniform(0.0, 4.0);
         case.log_scales.iter_mut().for_each(|s| *s -= shrink);

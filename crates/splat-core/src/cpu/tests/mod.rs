@@ -141,7 +141,7 @@ fn random_case(
     left: usize,
 ) -> Case<f64> {
     let mut r = Random(seed);
-    let camera = Camera::pinhole(37, 21, 30.0, 26.0, 16.2, 12.1);
+    let camera = Camera::pinhole([37, 21], [30.0, 26.0], [16.2, 12.1]);
     let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 0.2, -0.3, 0.4);
     let translation = DVec3::new(0.3, -0.2, 0.5);
     let world_from_cam = DAffine3::from_rotation_translation(rotation, translation).inverse();
@@ -198,7 +198,7 @@ fn one_ahead(opacity: f64) -> Case<f64> {
         pose: pose_of(DQuat::IDENTITY, DVec3::ZERO),
         num_features: 0,
         degree: 0,
-        camera: Camera::pinhole(5, 5, 4.0, 4.0, 2.5, 2.5),
+        camera: Camera::pinhole([5, 5], [4.0, 4.0], [2.5, 2.5]),
     }
 }
 
