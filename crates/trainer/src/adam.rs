@@ -57,7 +57,7 @@ pub enum Steps {
     /// All rows step together; rows added later share the count (as in 3D Gaussian Splatting).
     Together(u32),
     /// Every row, a frame's for example, steps only when it is drawn, and has a count and with it a bias correction of its
-    /// own, [N]. Momentum that went on between its visits would make it tremble.
+    /// own, `[N]`. Momentum that went on between its visits would make it tremble.
     PerRow(Vec<u32>),
 }
 

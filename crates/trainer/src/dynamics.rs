@@ -195,7 +195,7 @@ fn clamped_scales(means: &[DVec3]) -> Vec<f64> {
 /// New dynamic Gaussians, to be inserted behind the existing ones.
 pub(crate) struct NewDynamic {
     pub(crate) gaussians: GaussianTensors,
-    /// The dynamic Gaussian whose motion each follows, [M].
+    /// The dynamic Gaussian whose motion each follows, `[M]`.
     pub(crate) parents: Vec<u32>,
 }
 
