@@ -58,22 +58,22 @@ fn picture(width: usize, height: usize, channels: usize, device: &Device) -> Ten
 mod splatting {
     use super::*;
 
-    #[divan::bench(args = SIZES)]
-    fn project_(bencher: Bencher<'_, '_>, size: (usize, usize, usize)) {
+    #[divan::bench(name = "project", args = SIZES)]
+    fn time_project(bencher: Bencher<'_, '_>, size: (usize, usize, usize)) {
         let (gaussians, view) = workload(size);
         let splats = gaussians.slices();
         bencher.bench_local(|| project(black_box(&splats), &view));
     }
 
-    #[divan::bench(args = SIZES)]
-    fn rasterize_(bencher: Bencher<'_, '_>, size: (usize, usize, usize)) {
+    #[divan::bench(name = "rasterize", args = SIZES)]
+    fn time_rasterize(bencher: Bencher<'_, '_>, size: (usize, usize, usize)) {
         let (gaussians, view) = workload(size);
         let projection = project(&gaussians.slices(), &view).expect("good Gaussians");
         bencher.bench_local(|| rasterize(black_box(&projection), &[], 0));
     }
 
-    #[divan::bench(args = SIZES)]
-    fn backward_(bencher: Bencher<'_, '_>, size: (usize, usize, usize)) {
+    #[divan::bench(name = "backward", args = SIZES)]
+    fn time_backward(bencher: Bencher<'_, '_>, size: (usize, usize, usize)) {
         let (gaussians, view) = workload(size);
         let (splats, v_output) = (gaussians.slices(), gradient(size));
         let projection = project(&splats, &view).expect("good Gaussians");

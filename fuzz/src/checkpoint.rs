@@ -4,12 +4,17 @@ use std::fs;
 use std::path::Path;
 
 use io::Scene;
-use trainer::{CHECKPOINT_FILE, Device, TrainError, Trainer};
+use trainer::{CHECKPOINT_FILE, Device, Run, TrainError, Trainer};
 
 /// A checkpoint of the scene `binary`, loaded and asked for its Gaussians.
 pub fn checkpoint(scenes: &Path, bytes: &[u8]) -> Result<(), TrainError> {
     let scene = Scene::open(&scenes.join("binary"))?;
     fs::write(scenes.join(CHECKPOINT_FILE), bytes).expect("a file can be written");
+    let run = Run::open(scenes, &Device::flex())?;
+    if run.views().train[0].camera.num_pixels() < 1 << 12 {
+        // Whatever its numbers are, a picture or an error comes out.
+        run.render_training_view(0).ok();
+    }
     let trainer = Trainer::load(scenes, scene, &Device::flex())?;
     let model = trainer.model();
     for time in [None, Some(0.5)] {

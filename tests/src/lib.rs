@@ -3,7 +3,6 @@
 
 mod gradcheck;
 pub mod numerics;
-mod property;
 pub mod tiny;
 
 pub use gradcheck::{GradLimits, GradReport, check_gradients, directional_report};

@@ -62,6 +62,11 @@ fn a_constant_image_stays_constant_up_to_the_border() {
     }
 }
 
+/// Whether a parameter belongs to the scene feature extractor.
+fn is_extractor(name: &str) -> bool {
+    name.starts_with("extractor.")
+}
+
 #[test]
 fn the_parameters_are_as_many_as_counted_by_hand() {
     for (_, device) in devices() {
@@ -70,7 +75,7 @@ fn the_parameters_are_as_many_as_counted_by_hand() {
                 .expect("the configuration is valid")
                 .parameters()
                 .iter()
-                .filter(|(name, _)| BpNet::is_extractor(name) == extractor)
+                .filter(|(name, _)| is_extractor(name) == extractor)
                 .map(|(_, tensor)| tensor.dims().iter().product::<usize>())
                 .sum()
         };
@@ -220,7 +225,7 @@ fn a_frozen_extractor_gets_no_gradient() {
         for (parameter, tensor) in net.parameters() {
             assert_eq!(
                 tensor.grad(&grads).is_none(),
-                BpNet::is_extractor(parameter),
+                is_extractor(parameter),
                 "{name}: {parameter}"
             );
         }

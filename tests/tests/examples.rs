@@ -11,8 +11,9 @@ fn examples() -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in fs::read_dir(crates).expect("crates/ can be read") {
         let folder = entry.expect("an entry of crates/").path();
-        // The float types and adapters below the kernels show themselves on their front page, the program in the README.
-        if ["host", "limpid"].iter().any(|name| folder.ends_with(name)) {
+        // What is below the kernels shows itself on its front page, the program in the README; the last one is for tests alone.
+        let others = ["host", "limpid", "property"];
+        if others.iter().any(|name| folder.ends_with(name)) {
             continue;
         }
         let examples = fs::read_dir(folder.join("examples"))

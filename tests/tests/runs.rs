@@ -97,6 +97,51 @@ fn a_run_opens_without_the_scene_it_was_trained_on() {
     assert_eq!(scores, trainer.evaluate().expect("scores"));
 }
 
+/// Test views teach nothing: a run goes on, and is scored, with others than it began with.
+#[test]
+fn test_views_may_come_and_go() {
+    let mut without = scene();
+    without.test.clear();
+    let mut trainer = Trainer::new(without, settings(), &Device::flex()).expect("a trainer");
+    steps(&mut trainer, 1);
+    assert!(trainer.evaluate().expect("scores").test.is_none());
+    let folder = saved(&trainer);
+    let mut fewer = scene();
+    fewer.test.drain(..2);
+    for mut scene in [scene(), fewer] {
+        let last = scene.test.last_mut().expect("a view");
+        last.name = "another".into();
+        let names: Vec<String> = scene.test.iter().map(|view| view.name.clone()).collect();
+        let run = Run::open(folder.path(), &Device::flex()).expect("opened");
+        let scored = run.evaluate(&scene, None).expect("scores").test;
+        let resumed = Trainer::resume(run, scene).expect("resumed");
+        assert_eq!(scored, resumed.evaluate().expect("scores").test);
+        let views = scored.expect("test views").views;
+        let found: Vec<&String> = views.iter().map(|view| &view.name).collect();
+        assert!(found.iter().zip(&names).all(|(a, b)| *a == b) && found.len() == names.len());
+        let known = &resumed.run().views().test;
+        assert!(known.iter().map(|view| &view.name).eq(&names));
+    }
+}
+
+#[test]
+fn a_scene_whose_views_can_no_longer_be_warped_is_another_one() {
+    let trainer = trainer();
+    let folder = saved(&trainer);
+    let mut scene = scene();
+    for mask in scene.frames.iter_mut().filter_map(|f| f.mask.as_mut()) {
+        // Depth is the same, but nothing stands still to be warped.
+        mask.values.fill(1.0);
+    }
+    let run = Run::open(folder.path(), &Device::flex()).expect("opened");
+    match Trainer::resume(run, scene) {
+        Err(TrainError::OtherScene(problem)) => {
+            assert!(problem.to_string().contains("0 unseen views"), "{problem}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
 #[test]
 fn an_error_and_its_causes_say_each_thing_once() {
     let trainer = trainer();
@@ -110,10 +155,14 @@ fn an_error_and_its_causes_say_each_thing_once() {
     let load = Trainer::load(folder.path(), shorter, &Device::flex());
     let load: Box<dyn Error> = load.expect_err("another scene").into();
     std::fs::write(folder.path().join(trainer::CHECKPOINT_FILE), "{}").expect("written");
+    let save: Box<dyn Error> = trainer
+        .save(&folder.path().join("nowhere"))
+        .expect_err("no such folder")
+        .into();
     let open: Box<dyn Error> = Run::open(folder.path(), &Device::flex())
         .expect_err("not a checkpoint")
         .into();
-    for error in [render, load, open] {
+    for error in [render, load, save, open] {
         let causes = std::iter::successors(Some(&*error as &dyn Error), |&e| e.source());
         let messages: Vec<String> = causes.map(ToString::to_string).collect();
         assert!(messages.len() > 1, "{error} has no cause");

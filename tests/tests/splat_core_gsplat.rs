@@ -1,12 +1,11 @@
 //! The splatting op against results and gradients that gsplat computed (`shared/reference/gsplat_tiny`,
 //! read from beside the checkout; without it these tests say so and pass).
 
-use std::io::Write as _;
 use std::path::PathBuf;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DVec3};
-use limpid_tests::devices;
+use limpid_tests::{devices, skipped};
 use safetensors::SafeTensors;
 use splat_core::cpu::{BackwardOptions, Forward, SplatSlices, View, backward, project, rasterize};
 use splat_core::{Camera, Extra, Splats, Viewpoint, render};
@@ -27,9 +26,7 @@ impl Reference {
         match std::fs::read(&path) {
             Ok(bytes) => Some(Self(bytes)),
             Err(error) => {
-                // Past the test harness, which would keep the line: the test run counts these.
-                let line = format!("skipped: {test}: {error}: {}\n", path.display());
-                std::io::stderr().write_all(line.as_bytes()).ok();
+                skipped(test, &format!("{error}: {}", path.display()));
                 None
             }
         }
@@ -159,7 +156,7 @@ fn tensors_agree_with_gsplat() {
         let screen = Tensor::<1>::zeros([4], (&device, DType::F32)).require_grad();
         let rendered = render(
             splats.clone(),
-            &Viewpoint::new(&camera(), &cam_from_world(), 3, &device),
+            &Viewpoint::new(&camera(), &cam_from_world(), 3, &splats),
             Extra {
                 screen_grad: Some(screen.clone()),
                 ..Extra::default()

@@ -7,12 +7,13 @@ use std::process::Command;
 use toml::{Table, Value};
 
 /// Every crate of the workspace and the crates of ours that it may depend on.
-const ARROWS: [(&str, &[&str]); 11] = [
+const ARROWS: [(&str, &[&str]); 12] = [
+    ("property", &[]),
     ("host", &[]),
     ("splat-core", &["host"]),
-    ("motion-bases", &[]),
+    ("motion-bases", &["property"]),
     ("bpnet", &["host"]),
-    ("unseen-views", &["splat-core"]),
+    ("unseen-views", &["splat-core", "property"]),
     ("io", &["splat-core"]),
     (
         "trainer",
@@ -35,6 +36,7 @@ const ARROWS: [(&str, &[&str]); 11] = [
             "bpnet",
             "unseen-views",
             "io",
+            "property",
             "trainer",
         ],
     ),
@@ -43,7 +45,7 @@ const ARROWS: [(&str, &[&str]); 11] = [
 ];
 
 /// Crates that know nothing of Burn, not even through another crate's feature.
-const WITHOUT_BURN: [&str; 3] = ["unseen-views", "io", "xtask"];
+const WITHOUT_BURN: [&str; 4] = ["unseen-views", "io", "property", "xtask"];
 
 /// Crates that neither touch files nor log nor look at a clock.
 const SILENT: [&str; 4] = ["splat-core", "motion-bases", "bpnet", "unseen-views"];

@@ -271,7 +271,7 @@ fn posed_gaussians_look_like_the_moving_scene() {
         let splats = Splats::new(&posed, &device).expect("Gaussians");
         let camera = camera().with_near(near);
         let degree = trainer.schedule().sh_degree_at(30);
-        let view = Viewpoint::new(&camera, &pose(2.0), degree, &device);
+        let view = Viewpoint::new(&camera, &pose(2.0), degree, &splats);
         let drawn = render(splats, &view, Extra::default())
             .expect("a picture")
             .color();

@@ -58,8 +58,8 @@ type Step = (
     (&'static str, &'static str),
 );
 
-/// The steps of `ci`, in their order. Always the whole workspace: with `--package`, cargo would give the crates below Burn
-/// other features, and compile it again.
+/// The steps of `ci`, in their order. Where Burn is compiled, always the whole workspace: with `--package`, cargo would give
+/// the crates below it other features, and compile it again.
 const STEPS: [Step; 6] = [
     ("fmt", &["fmt", "--all", "--check"], NOTHING),
     (
@@ -192,9 +192,10 @@ fn watch(mut command: Command, skipped: &mut Vec<String>) -> Result<(), ExitCode
         .stderr
         .take()
         .into_iter()
-        .flat_map(|e| BufReader::new(e).lines())
+        .flat_map(|e| BufReader::new(e).split(b'\n'))
     {
         let Ok(line) = line else { break };
+        let line = String::from_utf8_lossy(&line).into_owned();
         eprintln!("{line}");
         if line.starts_with(SKIPPED) {
             skipped.push(line);

@@ -1,4 +1,5 @@
 use burn::tensor::{DType, Device, Tensor};
+use host::{all_zero, count_not_finite};
 
 use crate::BpNetError;
 use crate::cpu::predict::{self, PredictSize};
@@ -209,12 +210,6 @@ impl BpNet {
         NAMES.into_iter().zip(tensors).collect()
     }
 
-    /// Whether the parameter of this name belongs to the scene feature extractor.
-    #[must_use]
-    pub fn is_extractor(name: &str) -> bool {
-        name.starts_with("extractor.")
-    }
-
     /// Predicts how `frame` was blurred.
     ///
     /// # Errors
@@ -310,11 +305,19 @@ impl BpNet {
         BpNetError::check_same_dtype("colour", color.dtype(), dtype)?;
         BpNetError::check_same_dtype("disparity", disparity.dtype(), dtype)?;
         BpNetError::check_same_dtype("mask", mask.dtype(), dtype)?;
-        BpNetError::check_finite("colour", color, 3)?;
-        BpNetError::check_finite("disparity", disparity, 1)?;
-        BpNetError::check_finite("mask", mask, 1)?;
-        for (name, parameter) in self.parameters() {
-            BpNetError::check_finite(name, &parameter, parameter.dims()[1])?;
+        let parameters = self.parameters();
+        let maps = [disparity, mask].map(count_not_finite);
+        let weights = parameters
+            .iter()
+            .map(|(_, tensor)| count_not_finite(tensor));
+        let counts = [count_not_finite(color)].into_iter().chain(maps);
+        if !all_zero(counts.chain(weights).collect()) {
+            BpNetError::check_finite("colour", color, 3)?;
+            BpNetError::check_finite("disparity", disparity, 1)?;
+            BpNetError::check_finite("mask", mask, 1)?;
+            for (name, parameter) in parameters {
+                BpNetError::check_finite(name, &parameter, parameter.dims()[1])?;
+            }
         }
         Ok([height, width])
     }

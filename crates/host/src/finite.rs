@@ -17,24 +17,37 @@ use burn::tensor::Tensor;
     NdArray: cfg(feature = "ndarray"),
 )]
 pub(crate) trait FiniteOps: Backend {
-    /// Number of values that are infinite or not a number.
-    fn count_not_finite(values: FloatTensor<Self>) -> usize;
+    /// Number of values that are infinite or not a number, `[1]`.
+    fn count_not_finite(values: FloatTensor<Self>) -> FloatTensor<Self>;
+}
+
+/// Number of elements that are infinite or not a number, `[1]`: on the device, without a graph.
+///
+/// # Panics
+/// Panics if the dtype is neither f32 nor f64; so do the other two.
+#[must_use]
+pub fn count_not_finite<const D: usize>(tensor: &Tensor<D>) -> Tensor<1> {
+    let values = tensor.clone().inner().into_dispatch();
+    Tensor::from_dispatch(<Dispatch as FiniteOps>::count_not_finite(values))
+}
+
+/// Whether all counts of [`count_not_finite`] are zero: the device is waited for once.
+#[must_use]
+pub fn all_zero(counts: Vec<Tensor<1>>) -> bool {
+    counts.is_empty() || Tensor::cat(counts, 0).sum().into_scalar::<f64>() == 0.0
 }
 
 /// Position, in row-major order, and value of the first element that is infinite or not a number.
 ///
-/// The device counts them; only if there is one is the tensor (f32 or f64) read back.
+/// The tensor is read back if there is one.
 #[must_use]
 pub fn first_not_finite<const D: usize>(tensor: &Tensor<D>) -> Option<(usize, f64)> {
-    let values = tensor.clone().inner();
-    if <Dispatch as FiniteOps>::count_not_finite(values.clone().into_dispatch()) == 0 {
+    if all_zero(vec![count_not_finite(tensor)]) {
         return None;
     }
-    let values = values.into_data();
-    values
-        .iter::<f64>()
-        .enumerate()
-        .find(|(_, v)| !v.is_finite())
+    let values = tensor.clone().inner().into_data();
+    let mut values = values.iter::<f64>().enumerate();
+    values.find(|(_, v)| !v.is_finite())
 }
 
 #[cfg(any(feature = "flex", feature = "ndarray"))]
@@ -43,7 +56,7 @@ mod cpu {
     use rayon::prelude::*;
 
     use super::FiniteOps;
-    use crate::{HostBackend as _, Real, with_float};
+    use crate::{HostBackend, HostFloat, Real, tensor, with_float};
 
     /// Values per task.
     const BLOCK: usize = 1 << 14;
@@ -57,11 +70,16 @@ mod cpu {
             .sum()
     }
 
+    fn count_on<T: HostFloat, B: HostBackend>(mut values: FloatTensor<B>) -> FloatTensor<B> {
+        let count = T::of(count_not_finite(&B::elements::<T>(&mut values)) as f64);
+        tensor::<T, B>(vec![count], [1], &values)
+    }
+
     macro_rules! host_ops {
         ($backend:ty) => {
             impl FiniteOps for $backend {
-                fn count_not_finite(mut values: FloatTensor<Self>) -> usize {
-                    with_float!(values.dtype(), T => count_not_finite(&Self::elements::<T>(&mut values)))
+                fn count_not_finite(values: FloatTensor<Self>) -> FloatTensor<Self> {
+                    with_float!(values.dtype(), T => count_on::<T, Self>(values))
                 }
             }
         };
@@ -70,4 +88,34 @@ mod cpu {
     host_ops!(burn::backend::Flex);
     #[cfg(feature = "ndarray")]
     host_ops!(burn::backend::NdArray);
+}
+
+#[cfg(all(test, feature = "flex"))]
+mod tests {
+    use super::*;
+    use burn::tensor::{DType, Device, TensorData};
+
+    #[test]
+    fn the_first_that_is_no_number_is_found_wherever_it_lies() {
+        let device = Device::flex().autodiff();
+        for dtype in [DType::F32, DType::F64] {
+            for (at, value) in [
+                (0, f64::NAN),
+                (70_000, f64::INFINITY),
+                (99_999, f64::NEG_INFINITY),
+            ] {
+                let mut values = vec![1.0; 100_000];
+                let tensor = |values: &[f64]| {
+                    let data = TensorData::new(values.to_vec(), [1000, 100]);
+                    Tensor::<2>::from_data(data, (&device, dtype)).require_grad()
+                };
+                assert_eq!(first_not_finite(&tensor(&values)), None);
+                values[at] = value;
+                values[99_999] = f64::NEG_INFINITY;
+                let (position, found) = first_not_finite(&tensor(&values)).expect("one");
+                assert_eq!(position, at);
+                assert!(found.total_cmp(&value).is_eq() || found.is_nan() && value.is_nan());
+            }
+        }
+    }
 }

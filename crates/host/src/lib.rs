@@ -1,6 +1,6 @@
 //! What kernels in main memory share: the float types they compute with ([`Real`]), the machine's vectors of them
-//! ([`Vectors`], [`vectorized`]), and, with the feature `burn`, the way from a backend's tensors to slices and back
-//! ([`HostBackend`]).
+//! ([`Vectors`], [`vectorized`]), large buffers ([`filled`]), and, with the feature `burn`, the way from a backend's tensors to slices and back
+//! ([`HostBackend`]), and the question whether a tensor is all numbers ([`first_not_finite`]).
 //!
 //! ```
 //! use host::{Real, vectorized};
@@ -26,7 +26,7 @@ mod vectors;
 
 pub use buffers::filled;
 #[cfg(feature = "burn")]
-pub use finite::first_not_finite;
+pub use finite::{all_zero, count_not_finite, first_not_finite};
 pub use real::Real;
 #[cfg(feature = "burn")]
 pub use tensors::{HostBackend, HostFloat, register, tensor};

@@ -58,6 +58,11 @@ impl HostBackend for burn::backend::NdArray {
     fn elements<T: HostFloat>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]> {
         use burn::backend::ndarray::NdArrayTensor;
         let tensor: &FloatTensor<Self> = tensor;
+        assert_eq!(
+            tensor.dtype(),
+            T::dtype(),
+            "elements in the tensor's own dtype"
+        );
         // Reading a tensor through Burn copies it, value by value.
         let borrowed: Option<&[T]> = match tensor {
             NdArrayTensor::F32(storage) => storage.view().to_slice().map(bytemuck::cast_slice),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum IoError {
     /// The operating system refused to read or write.
-    #[error("cannot access the file: {source}: {}", path.display())]
+    #[error("cannot access {}", path.display())]
     Access {
         /// What the system said.
         source: std::io::Error,

@@ -29,6 +29,7 @@ mod truth;
 
 pub use atomic::{write_atomic, write_json};
 pub use error::IoError;
+pub use glam;
 pub use picture::{Image, Map, read_image, read_map, write_map_png, write_png};
 pub use ply::{read_ply, write_ply};
 pub use scene::{Frame, LoadOptions, Scene, SparsePoint, View};

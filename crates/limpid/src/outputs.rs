@@ -7,7 +7,7 @@ use io::Scene;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
-use trainer::{BlurFigures, Evaluation, Run, Scores, Settings, Trainer};
+use trainer::{Evaluation, Run, Scores, Settings, Trainer};
 
 /// The names of a run's results in its folder.
 const RESULTS: [&str; 5] = [
@@ -180,16 +180,8 @@ pub(crate) fn summary(evaluation: &Evaluation) -> String {
         counts.fixed, counts.dynamic
     )
     .expect("a string takes text");
-    match evaluation.blur {
-        Some(BlurFigures::Kernels {
-            kernel_centroid_px,
-            mean_intensity,
-        }) => write!(
-            text,
-            "; mean blur intensity {mean_intensity:.2}, kernels' common shift {kernel_centroid_px:.2} px"
-        )
-        .expect("a string takes text"),
-        None => {}
+    if let Some(figures) = &evaluation.blur {
+        write!(text, "; {figures}").expect("a string takes text");
     }
     text
 }

@@ -1,7 +1,7 @@
 //! `limpid render`.
 
 use crate::config::Config;
-use crate::failure::Failure;
+use crate::failure::{Failure, with_causes};
 use crate::outputs;
 use io::Scene;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
         .unwrap_or_else(|| arguments.run.join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
     if arguments.ply_at.is_empty() && !arguments.ply_sequence {
-        let scene = frames(&config, arguments.scene.as_deref())?;
+        let scene = frames(&run, &config, arguments.scene.as_deref())?;
         outputs::write_renders(&run, scene.as_ref(), &out)?;
     }
     let model = run.model();
@@ -71,13 +71,17 @@ pub(crate) fn open(folder: &Path, config: &Config) -> Result<Run, Failure> {
 }
 
 /// The scene, for its blurry frames: where the user says it is, or where it was if it still is there.
-fn frames(config: &Config, given: Option<&Path>) -> Result<Option<Scene>, Failure> {
-    if given.is_some() {
-        return config.at(given).open_scene().map(Some);
+fn frames(run: &Run, config: &Config, given: Option<&Path>) -> Result<Option<Scene>, Failure> {
+    let scene = config.at(given).open_scene().and_then(|scene| {
+        run.check_scene(&scene)?;
+        Ok(scene)
+    });
+    match scene {
+        Err(problem) if given.is_none() => {
+            let problem = with_causes(&*problem);
+            eprintln!("note: the pictures of blur go without the blurry frames: {problem}");
+            Ok(None)
+        }
+        scene => scene.map(Some),
     }
-    let scene = config.open_scene();
-    if let Err(problem) = &scene {
-        eprintln!("note: the pictures of blur go without the blurry frames: {problem}");
-    }
-    Ok(scene.ok())
 }

@@ -1,7 +1,7 @@
 //! `limpid train`.
 
 use crate::config::{self, Backend, CONFIG_FILE, Config};
-use crate::failure::Failure;
+use crate::failure::{Failure, with_causes};
 use crate::outputs;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal as _;
@@ -136,7 +136,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
                 // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
                 let is_whole = matches!(error, TrainError::NotFinite { .. });
                 if is_whole && let Err(problem) = outputs::save(&trainer, &checkpoint, seconds) {
-                    eprintln!("the checkpoint cannot be saved: {problem}");
+                    eprintln!("the checkpoint cannot be saved: {}", with_causes(&*problem));
                 }
                 return Err(error.into());
             }

@@ -1,38 +1,39 @@
-//! Fits motion bases to the tracks of a turning body, and asks where a point is between two frames.
+//! Fits the translations of motion bases to the tracks of a turning body, from none at all.
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
-
-use burn::tensor::{DType, Device, Tensor, TensorData};
-use glam::{DQuat, DVec3};
-use motion_bases::{InitOptions, MotionBases, MotionError, Tracks3d, initialize};
-
-/// Where a point of the body is at a time.
-fn position(point: usize, time: f64) -> [f64; 3] {
-    let arm = DVec3::new(point as f64, 1.0, 0.0).sin();
-    (DQuat::from_rotation_y(0.1 * time) * arm + 5.0 * DVec3::Z).to_array()
-}
-
-fn main() -> Result<(), MotionError> {
-    let (frames, points) = (12, 60);
-    let track = |p| (0..frames).map(move |t| position(p, t as f64).into());
-    let tracks = Tracks3d {
-        num_frames: frames,
-        positions: (0..points).flat_map(track).collect(),
-        visible: vec![true; frames * points],
-        confidence: vec![1.0; frames * points],
-        colors: vec![[0.5; 3]; points],
+use burn::tensor::{DType, Device, Tensor};
+use motion_bases::glam::{DAffine3, DQuat, DVec3};
+use motion_bases::{Fit, FitCamera, FitData, InitOptions, MotionBases, Tracks3d};
+fn main() -> Result<(), motion_bases::MotionError> {
+    let (num_frames, entries, num_bases, seed) = (12, 12 * 60, 4, 1);
+    let position = |i: usize| {
+        let arm = DVec3::new((i / num_frames) as f64, 1.0, 0.0).sin();
+        DQuat::from_rotation_y(0.1 * (i % num_frames) as f64) * arm + 5.0 * DVec3::Z
     };
-    let (num_bases, seed) = (4, 1);
-    let init = initialize(&tracks, &InitOptions { num_bases, seed })?;
-    println!("motion bases for {points} tracks: {}", init.num_bases);
-
-    let device = Device::flex();
-    let bases = MotionBases::from_init(&init, &device, DType::F32);
-    let logits = TensorData::new(init.coefficients, [init.rows.len(), init.num_bases]);
-    let logits = Tensor::<2>::from_data(logits, &device).narrow(0, 0, 1);
-    let start = position(init.rows[0], init.canonical_frame as f64);
-    let mean = Tensor::<2>::from_data([start], &device);
-    let moved = bases.motion_at(&logits, 4.5).transform_means(&mean);
-    println!("at frame 4.5: {}", moved.into_data());
-    println!("in truth: {:?}", position(init.rows[0], 4.5));
+    let tracks = Tracks3d {
+        num_frames,
+        positions: (0..entries).map(position).collect(),
+        visible: vec![true; entries],
+        confidence: vec![1.0; entries],
+        colors: vec![[0.5; 3]; entries / num_frames],
+    };
+    let init = motion_bases::initialize(&tracks, &InitOptions { num_bases, seed })?;
+    let device = Device::flex().autodiff();
+    let (cam_from_world, [fx, fy, cx, cy]) = (DAffine3::IDENTITY, [50.0, 50.0, 32.0, 24.0]);
+    #[rustfmt::skip]
+    let cameras = vec![FitCamera { cam_from_world, fx, fy, cx, cy }; num_frames];
+    let data = FitData::new(&init, &cameras, &device, DType::F32)?;
+    let mut bases = MotionBases::from_init(&init, &device, DType::F32);
+    let means = &Tensor::<1>::from_data(&*init.canonical_means(), &device).reshape([-1, 3]);
+    let coefficients = &Tensor::<2>::zeros([means.dims()[0], init.num_bases], &device);
+    bases.transls = bases.transls.zeros_like().require_grad();
+    for step in 0..=100 {
+        #[rustfmt::skip]
+        let fit = Fit { bases: &bases, coefficients, means };
+        let loss = motion_bases::fit_loss(&fit, &data, step, 101);
+        println!("step {step}: loss {}", loss.clone().into_scalar::<f32>());
+        let slope = bases.transls.grad(&loss.backward()).expect("a leaf");
+        let fitted = bases.transls.inner() - slope.sign() * (0.1 - 0.001 * step as f64);
+        bases.transls = fitted.autodiff().require_grad();
+    }
     Ok(())
 }

@@ -1,5 +1,5 @@
 //! The rigid motion of one cluster of tracks: weighted Procrustes from the canonical frame to each
-//! other frame.
+//! other frame (Shape of Motion, Wang et al. 2024).
 
 use crate::procrustes::procrustes;
 use crate::statistics::{median, median_point, quantile};

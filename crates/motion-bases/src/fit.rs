@@ -82,7 +82,7 @@ struct Hidden {
     /// Confidence, [N, p]; zero where not hidden.
     weights: Tensor<2>,
     /// Flat indices of the hidden entries.
-    entries: Vec<usize>,
+    entries: Tensor<1, Int>,
 }
 
 impl FitData {
@@ -177,11 +177,12 @@ impl Group {
         for t in 0..n {
             for (k, &row) in rows.iter().enumerate() {
                 if hides(tracks.index(row, t), t) {
-                    entries.push(t * p + k);
+                    entries.push((t * p + k) as i64);
                 }
             }
         }
-        let hidden = (!entries.is_empty()).then(|| Hidden {
+        let count = entries.len();
+        let hidden = (count > 0).then(|| Hidden {
             pixels: [0, 1].map(|k| tensor(&|i, t| pixel(i, t).map_or(0.0, |p| p[k]))),
             weights: tensor(&|i, t| {
                 if hides(i, t) {
@@ -190,7 +191,7 @@ impl Group {
                     0.0
                 }
             }),
-            entries,
+            entries: Tensor::from_data(TensorData::new(entries, [count]), device),
         });
         Self {
             positions: [0, 1, 2].map(|k| tensor(&|i, _| tracks.positions[i][k] / init.extent)),
@@ -363,8 +364,8 @@ impl Hidden {
             |k: usize| (row(&projection[k]) * inverse_depth.clone() - self.pixels[k].clone()).abs();
         let error = (off(0) + off(1)) * 0.5;
         let fixed = error.clone().detach();
-        let all: Vec<f64> = fixed.to_data().iter::<f64>().collect();
-        let mut values: Vec<f64> = self.entries.iter().map(|&i| all[i]).collect();
+        let hidden = fixed.clone().reshape([-1]).select(0, self.entries.clone());
+        let mut values: Vec<f64> = hidden.into_data().iter::<f64>().collect();
         let limit = quantile(&mut values, TRIM);
         let weights = self
             .weights

@@ -51,6 +51,16 @@ pub struct MotionInit {
     pub extent: f64,
 }
 
+impl MotionInit {
+    /// Where the tracks are in the canonical frame, scene units, [P, 3].
+    #[must_use]
+    pub fn canonical_means(&self) -> Vec<f64> {
+        let at = |p| self.tracks.positions[self.tracks.index(p, self.canonical_frame)];
+        let tracks = 0..self.tracks.len();
+        tracks.flat_map(|p| at(p).to_array()).collect()
+    }
+}
+
 /// Finds motion bases: fills gaps, drops outliers, clusters the directions of the velocities, aligns
 /// each cluster with itself in every frame, merges clusters that move alike, and weighs the bases by
 /// the distance to the clusters.

@@ -18,13 +18,6 @@ mod init;
 mod merging;
 mod motion;
 mod procrustes;
-#[cfg(test)]
-#[path = "../../../tests/src/property.rs"]
-#[expect(
-    unreachable_pub,
-    reason = "the tests that cross crates offer it to each other"
-)]
-mod property;
 mod quaternion;
 mod rotation;
 mod smoothness;
@@ -33,6 +26,7 @@ mod tracks;
 
 pub use error::MotionError;
 pub use fit::{Fit, FitCamera, FitData, fit_loss, positions_all_frames};
+pub use glam;
 pub use init::{InitOptions, MotionInit, initialize};
 pub use motion::{Motion, MotionBases};
 pub use procrustes::procrustes;

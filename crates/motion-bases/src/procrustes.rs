@@ -82,8 +82,8 @@ fn best_rotation(covariance: Matrix3<f64>, nothing: f64) -> Option<DMat3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::property::{property, uniform};
     use arbtest::arbitrary::{Result, Unstructured};
+    use property::{property, uniform};
 
     fn number(u: &mut Unstructured<'_>, size: f64) -> Result<f64> {
         uniform(u, -size, size)

@@ -1,4 +1,5 @@
-//! Smoothness of the motion, in units of a scene scale that the caller gives.
+//! Smoothness of the motion, in units of a scene scale that the caller gives: the terms of Shape of Motion (Wang et al. 2024),
+//! which the method keeps.
 
 use crate::motion::MotionBases;
 use burn::tensor::{Tensor, TensorData};
@@ -33,8 +34,8 @@ pub fn bases_acceleration(bases: &MotionBases, scene_scale: f64) -> Tensor<1> {
 
 /// Acceleration of means, `[1]`: the mean length of their second differences, divided by `scene_scale`.
 ///
-/// `[prev, cur, next]` are [F, 3], the means in three consecutive frames. (The 0.5 that the
-/// method has here belongs to the weight.) Zero without Gaussians; at rest the gradient is zero.
+/// `[prev, cur, next]` are [F, 3], the means in three consecutive frames. (The factor 0.5
+/// of the reference code belongs to the weight.) Zero without Gaussians; at rest the gradient is zero.
 #[must_use]
 pub fn means_acceleration([prev, cur, next]: [&Tensor<2>; 3], scene_scale: f64) -> Tensor<1> {
     if cur.dims()[0] == 0 {

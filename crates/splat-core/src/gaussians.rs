@@ -5,7 +5,7 @@ use crate::error::SplatError;
 
 /// A set of Gaussians in storage space (what the 3DGS PLY format holds).
 ///
-/// The arrays are open to read and to edit. [`Self::check`] says whether they fit each other; all that take Gaussians ask it.
+/// The arrays are open to read and to edit. [`Self::check`] says whether they fit each other; tensors, files and training ask it first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
     /// Means in scene units, `[N]`.
@@ -49,14 +49,30 @@ impl Gaussians {
     /// # Errors
     /// Names the array that does not fit.
     pub fn check(&self) -> Result<(), SplatError> {
+        let shape = |tensor, found, expected| {
+            Err(SplatError::Shape {
+                tensor,
+                found: vec![found],
+                expected,
+            })
+        };
+        let lengths = [
+            ("means", self.means.len()),
+            ("quats", self.quats.len()),
+            ("log_scales", self.log_scales.len()),
+            ("opacity_logits", self.opacity_logits.len()),
+        ];
+        // What all say but one, which is then at fault.
+        let mut sorted = lengths.map(|(_, length)| length);
+        sorted.sort_unstable();
+        let n = sorted[1];
+        if let Some((name, length)) = lengths.into_iter().find(|(_, length)| *length != n) {
+            return shape(name, length, format!("[{n}]"));
+        }
         self.slices().check(self.sh_degree)?;
         let width = 3 * (self.sh_degree + 1).pow(2);
-        if self.sh.len() != self.len() * width {
-            return Err(SplatError::Shape {
-                tensor: "sh",
-                found: vec![self.sh.len()],
-                expected: format!("[{}, {width}]", self.len()),
-            });
+        if self.sh.len() != n * width {
+            return shape("sh", self.sh.len(), format!("[{n}, {width}]"));
         }
         Ok(())
     }
@@ -96,7 +112,7 @@ mod tests {
             ("means", |g| g.means.truncate(1)),
             ("quats", |g| g.quats.truncate(1)),
             ("log_scales", |g| g.log_scales.clear()),
-            ("means", |g| g.opacity_logits.truncate(1)),
+            ("opacity_logits", |g| g.opacity_logits.truncate(1)),
             ("sh", |g| g.sh.truncate(23)),
             ("sh", |g| g.sh_degree = 0),
             ("SH degree 2", |g| g.sh_degree = 2),

@@ -12,7 +12,7 @@ use crate::error::SplatError;
 
 /// Gaussians and the camera's pose, in one float type.
 #[derive(Clone, Debug, ExtensionType)]
-pub(crate) struct Scene<B: Backend> {
+pub(crate) struct SceneTensors<B: Backend> {
     /// [N, 3].
     pub(crate) means: FloatTensor<B>,
     /// [N, 4].
@@ -29,18 +29,20 @@ pub(crate) struct Scene<B: Backend> {
     pub(crate) cam_from_world: FloatTensor<B>,
 }
 
-/// Float inputs of [`SplatOps::rasterize`]: those of a [`Scene`] in their order, features, screen statistic.
-pub(crate) const INPUTS: usize = 9;
+/// Number of tensors of a [`SceneTensors`].
+const SCENE: usize = 7;
+/// Float inputs of [`SplatOps::rasterize`]: those of [`SceneTensors::into_array`], features, screen statistic.
+pub(crate) const INPUTS: usize = SCENE + 2;
 /// Place of the pose among them.
 pub(crate) const POSE: usize = 6;
 
-impl<B: Backend> Scene<B> {
-    /// The same scene for a backend around or inside this one.
+impl<B: Backend> SceneTensors<B> {
+    /// The same scene for a backend around or inside this one; `float` is called in the order of [`Self::into_array`].
     pub(crate) fn map<A: Backend>(
         self,
         mut float: impl FnMut(FloatTensor<B>) -> FloatTensor<A>,
-    ) -> Scene<A> {
-        Scene {
+    ) -> SceneTensors<A> {
+        SceneTensors {
             means: float(self.means),
             quats: float(self.quats),
             left_rotations: float(self.left_rotations),
@@ -49,6 +51,19 @@ impl<B: Backend> Scene<B> {
             sh: float(self.sh),
             cam_from_world: float(self.cam_from_world),
         }
+    }
+
+    /// All tensors, in the order of the inputs of [`SplatOps::rasterize`].
+    pub(crate) fn into_array(self) -> [FloatTensor<B>; SCENE] {
+        [
+            self.means,
+            self.quats,
+            self.left_rotations,
+            self.log_scales,
+            self.opacity_logits,
+            self.sh,
+            self.cam_from_world,
+        ]
     }
 }
 
@@ -85,7 +100,7 @@ impl<B: Backend> PreparedView<B> {
     }
 }
 
-/// A projection in either float type; its radii are with the view.
+/// A projection in either float type.
 #[derive(Clone, Debug)]
 pub(crate) enum HostProjection {
     F32(Arc<Projection<f32>>),
@@ -116,7 +131,7 @@ pub(crate) enum Blended<B: Backend> {
 pub(crate) trait SplatOps: Backend {
     /// Projects, culls, sorts by depth and lists by tile. Nothing of this is tracked.
     fn project(
-        #[extension_type] scene: Scene<Self>,
+        #[extension_type] scene: SceneTensors<Self>,
         camera: Camera,
         sh_degree: usize,
     ) -> Projected<Self>;
@@ -125,7 +140,7 @@ pub(crate) trait SplatOps: Backend {
     /// their gradients.
     fn rasterize(
         #[extension_type] view: PreparedView<Self>,
-        #[extension_type] scene: Scene<Self>,
+        #[extension_type] scene: SceneTensors<Self>,
         features: FloatTensor<Self>,
         screen_grad: FloatTensor<Self>,
     ) -> Blended<Self>;
@@ -145,7 +160,7 @@ pub(crate) trait SplatBackwardOps: SplatOps {
     /// Gradients of the wanted inputs.
     fn rasterize_backward(
         saved: Self::Saved,
-        scene: Scene<Self>,
+        scene: SceneTensors<Self>,
         features: FloatTensor<Self>,
         gradient: FloatTensor<Self>,
         wanted: [bool; INPUTS],

@@ -5,10 +5,9 @@ use std::fmt;
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-use crate::camera::Camera;
 use crate::cpu::BASE_CHANNELS;
 use crate::error::SplatError;
-use crate::ops::{Blended, PreparedView, Projected, Scene, SplatOps};
+use crate::ops::{Blended, PreparedView, Projected, SceneTensors, SplatOps};
 use crate::splats::{Layout, Splats, Viewpoint, check_dtype, check_shape};
 
 /// What a render may take and give beside the image of the Gaussians.
@@ -27,7 +26,6 @@ pub struct Extra {
 pub struct Prepared {
     view: PreparedView<Dispatch>,
     layout: Layout,
-    camera: Camera,
 }
 
 impl Prepared {
@@ -37,24 +35,17 @@ impl Prepared {
     pub fn radii(&self) -> Tensor<1> {
         Tensor::from_dispatch(self.view.radii())
     }
-
-    /// The camera it was made for.
-    #[must_use]
-    pub fn camera(&self) -> &Camera {
-        &self.camera
-    }
 }
 
 impl fmt::Debug for Prepared {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Prepared")
             .field("layout", &self.layout)
-            .field("camera", &self.camera)
             .finish_non_exhaustive()
     }
 }
 
-/// A rendered image with everything that comes with it, as views of one tensor.
+/// A rendered image and its parts, as views of one tensor, and the radii.
 #[derive(Clone, Debug)]
 pub struct Rendered {
     output: Tensor<3>,
@@ -109,9 +100,9 @@ impl Rendered {
 }
 
 /// A scene for the ops.
-fn scene(splats: Splats, cam_from_world: Tensor<2>) -> Scene<Dispatch> {
+fn scene(splats: Splats, cam_from_world: Tensor<2>) -> SceneTensors<Dispatch> {
     let none = || Tensor::zeros([0, 3, 3], (&splats.means.device(), splats.means.dtype()));
-    Scene {
+    SceneTensors {
         left_rotations: splats.left_rotations.unwrap_or_else(none).into_dispatch(),
         means: splats.means.into_dispatch(),
         quats: splats.quats.into_dispatch(),
@@ -141,13 +132,8 @@ pub fn prepare(splats: &Splats, view: &Viewpoint) -> Result<Prepared, SplatError
         });
     }
     let scene = scene(splats.clone(), view.cam_from_world.clone());
-    let camera = view.camera.clone();
-    match <Dispatch as SplatOps>::project(scene, camera.clone(), view.sh_degree) {
-        Projected::Done(view) => Ok(Prepared {
-            view,
-            layout,
-            camera,
-        }),
+    match <Dispatch as SplatOps>::project(scene, view.camera.clone(), view.sh_degree) {
+        Projected::Done(view) => Ok(Prepared { view, layout }),
         Projected::Refused(error) => Err(error),
     }
 }
@@ -162,7 +148,7 @@ pub fn prepare(splats: &Splats, view: &Viewpoint) -> Result<Prepared, SplatError
 /// Wrong shapes or types, features that are not finite.
 ///
 /// # Panics
-/// As [`prepare`].
+/// As [`prepare`], and where `prepared` and `splats` are on different devices.
 pub fn rasterize(
     prepared: &Prepared,
     splats: Splats,

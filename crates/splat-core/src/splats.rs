@@ -110,18 +110,19 @@ impl Splats {
 }
 
 impl Viewpoint {
-    /// A view from a pose, in f32.
+    /// A view from a pose, on the device and in the float type of the Gaussians that are to be seen.
     #[must_use]
     pub fn new(
         camera: &Camera,
         cam_from_world: &DAffine3,
         sh_degree: usize,
-        device: &Device,
+        splats: &Splats,
     ) -> Self {
+        let means = &splats.means;
         let rows = TensorData::new(pose_rows(cam_from_world).to_vec(), [3, 4]);
         Self {
             camera: camera.clone(),
-            cam_from_world: Tensor::from_data(rows, (device, DType::F32)),
+            cam_from_world: Tensor::from_data(rows, (&means.device(), means.dtype())),
             sh_degree,
         }
     }

@@ -6,10 +6,8 @@ use trainer::{Device, Settings, Trainer};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
-    let given = std::env::args().nth(1).map(PathBuf::from);
-    let folder = given
-        .filter(|path| path.is_dir())
-        .unwrap_or_else(|| demo.into());
+    let given = std::env::args_os().nth(1);
+    let folder = given.map_or_else(|| demo.into(), PathBuf::from);
     let options = io::LoadOptions {
         downscale: 4,
         ..io::LoadOptions::default()

@@ -3,9 +3,10 @@
 //! The state is ours and not `burn::optim`'s, because density control clones, splits and removes
 //! rows, and the moments have to follow.
 
-use crate::cpu::adam::{AdamUpdate, Rows};
+use crate::cpu::adam::{AdamUpdate, SteppedRows};
 use crate::density::{RowEdit, RowKind, gather_rows};
 use crate::ops::{AdamTensors, TrainerOps};
+use crate::parameter::Rows;
 use crate::tensors::leaf;
 use burn::backend::Dispatch;
 use burn::tensor::{Tensor, TensorData};
@@ -93,6 +94,15 @@ impl AdamState {
         }
     }
 
+    /// Zero moments for `param`, [N, C], whose rows step as what they belong to asks.
+    #[must_use]
+    pub fn of(param: &Tensor<2>, rows: Rows) -> Self {
+        match rows {
+            Rows::Frames => Self::per_row(param),
+            Rows::Gaussians | Rows::DynamicGaussians | Rows::Whole => Self::new(param),
+        }
+    }
+
     /// Whether the state is one of a parameter of this shape.
     #[must_use]
     pub fn fits(&self, [rows, columns]: [usize; 2]) -> bool {
@@ -102,6 +112,17 @@ impl AdamState {
                 Steps::Together(_) => true,
                 Steps::PerRow(steps) => steps.len() == rows,
             }
+    }
+
+    /// Whether its rows step as what they belong to asks.
+    #[must_use]
+    pub fn steps_like(&self, rows: Rows) -> bool {
+        match rows {
+            Rows::Frames => matches!(self.steps, Steps::PerRow(_)),
+            Rows::Gaussians | Rows::DynamicGaussians | Rows::Whole => {
+                matches!(self.steps, Steps::Together(_))
+            }
+        }
     }
 
     /// Follows an edit of the parameter's rows: kept rows keep their moments and steps, new rows start at zero.
@@ -198,14 +219,14 @@ pub fn adam_step(
     let rows = match &mut state.steps {
         Steps::Together(steps) => {
             *steps += 1;
-            Rows::All(*steps)
+            SteppedRows::All(*steps)
         }
         Steps::PerRow(steps) => {
             let step_row = |row: &usize| {
                 steps[*row] += 1;
                 (*row, steps[*row])
             };
-            Rows::Drawn(step.drawn.iter().map(step_row).collect())
+            SteppedRows::Drawn(step.drawn.iter().map(step_row).collect())
         }
     };
     let update = AdamUpdate {

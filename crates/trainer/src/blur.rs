@@ -6,16 +6,18 @@
 mod gauge;
 pub(crate) mod kernels;
 
-pub use kernels::{KernelView, Kernels};
+pub use kernels::{KernelFigures, KernelView, Kernels};
 
 use crate::TrainError;
 use crate::look::{self, Look, render_sharp};
 use crate::parameter::{Group, Parameter};
 use crate::settings::Settings;
+use crate::views::Views;
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor};
-use kernels::KernelTrace;
+use kernels::{KernelSums, KernelTrace};
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// How frames were blurred.
 #[derive(Clone, Debug)]
@@ -41,13 +43,13 @@ impl BlurModel {
     pub(crate) fn new(
         settings: &Settings,
         scene_size: f64,
-        num_frames: usize,
+        views: &Views,
         options: (&Device, DType),
     ) -> Result<Self, TrainError> {
         if !settings.blur.enabled {
             return Ok(Self::Off);
         }
-        let kernels = Kernels::new(settings, scene_size, num_frames, options)?;
+        let kernels = Kernels::new(settings, scene_size, views, options)?;
         Ok(Self::Kernels(Box::new(kernels)))
     }
 
@@ -59,9 +61,12 @@ impl BlurModel {
         }
     }
 
-    /// Whether frames are blurred once `iteration` iterations are done.
-    pub(crate) fn starts_by(&self, iteration: usize) -> bool {
-        self.moments().first().is_some_and(|&from| iteration > from)
+    /// Whether frames are blurred at iteration `it`, or once `it` iterations are done.
+    pub(crate) fn is_on(&self, it: usize) -> bool {
+        match self {
+            Self::Off => false,
+            Self::Kernels(kernels) => kernels.is_on(it),
+        }
     }
 
     /// The sharp render of a view, what the camera saw, and the model's own terms of the loss.
@@ -87,9 +92,12 @@ impl BlurModel {
 
     /// Keeps what later iterations want to know of a frame that was shown and learned from.
     pub(crate) fn learned(&mut self, frame: usize, trace: Trace) {
-        match (self, trace) {
-            (Self::Off, _) => {}
-            (Self::Kernels(kernels), Trace::Kernels(trace)) => kernels.learned(frame, trace),
+        match trace {
+            Trace::Kernels(trace) => {
+                if let Self::Kernels(kernels) = self {
+                    kernels.learned(frame, trace);
+                }
+            }
         }
     }
 
@@ -135,12 +143,15 @@ impl BlurModel {
 #[serde(untagged)]
 pub enum BlurFigures {
     /// Of [`BlurModel::Kernels`].
-    Kernels {
-        /// Length of the mean of m Σ k Δx over all pixels of all training frames, px.
-        kernel_centroid_px: f64,
-        /// Mean blur intensity m over all pixels of all training frames.
-        mean_intensity: f64,
-    },
+    Kernels(KernelFigures),
+}
+
+impl fmt::Display for BlurFigures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kernels(figures) => figures.fmt(f),
+        }
+    }
 }
 
 /// How one view was blurred, for pictures and figures.
@@ -158,34 +169,21 @@ impl From<Trace> for ViewBlur {
     }
 }
 
-/// Sums of the figures of several views.
+/// Sums of the figures of several views, for each variant.
 #[derive(Debug, Default)]
 pub(crate) struct FigureSums {
-    count: usize,
-    shift: [f64; 2],
-    intensity: f64,
+    kernels: KernelSums,
 }
 
 impl FigureSums {
     pub(crate) fn add(&mut self, view: &ViewBlur) {
         match view {
-            ViewBlur::Kernels(view) => {
-                self.count += 1;
-                let [x, y] = view.centroid;
-                self.shift = [self.shift[0] + x, self.shift[1] + y];
-                let values = &view.intensity.values;
-                self.intensity +=
-                    values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
-            }
+            ViewBlur::Kernels(view) => self.kernels.add(view),
         }
     }
 
     /// The means; `None` where no view was blurred.
     pub(crate) fn means(&self) -> Option<BlurFigures> {
-        let count = self.count as f64;
-        (self.count > 0).then(|| BlurFigures::Kernels {
-            kernel_centroid_px: self.shift[0].hypot(self.shift[1]) / count,
-            mean_intensity: self.intensity / count,
-        })
+        self.kernels.means().map(BlurFigures::Kernels)
     }
 }

@@ -9,7 +9,7 @@ use crate::TrainError;
 use crate::adam::{AdamState, Steps};
 use crate::blur::BlurModel;
 use crate::density::DensityStats;
-use crate::error::{CheckpointProblem, SceneProblem};
+use crate::error::{CheckpointProblem, OtherScene};
 use crate::model::Model;
 use crate::optimizer::Optimizer;
 use crate::plan::{Plan, schedule_of};
@@ -166,7 +166,7 @@ impl Run {
         };
         check_world(&world, &header)?;
         let size = header.survey.scene_size;
-        let mut blur = BlurModel::new(&header.settings, size, num_frames, (&device, DType::F32))
+        let mut blur = BlurModel::new(&header.settings, size, &header.views, (&device, DType::F32))
             .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
         for (parameter, tensor) in blur.parameters_mut() {
             let read = leaf(&parameter.name)?;
@@ -190,8 +190,9 @@ impl Run {
             optimizer.states.insert(name.clone(), state);
         }
         for (parameter, tensor) in model.parameters() {
-            let fits = optimizer.states.get(&parameter.name);
-            if fits.is_some_and(|state| !state.fits(tensor.dims())) {
+            let state = optimizer.states.get(&parameter.name);
+            let fit = |s: &AdamState| s.fits(tensor.dims()) && s.steps_like(parameter.rows());
+            if state.is_some_and(|state| !fit(state)) {
                 return Err(CheckpointProblem::Moments {
                     parameter: parameter.name,
                 });
@@ -223,12 +224,15 @@ impl Run {
         })
     }
 
-    /// Whether a scene is the one that was trained on.
-    pub(crate) fn check_scene(&self, scene: &Scene) -> Result<(), SceneProblem> {
+    /// Whether the training frames of a scene are those of this run; test views may differ.
+    ///
+    /// # Errors
+    /// Says how they differ.
+    pub fn check_scene(&self, scene: &Scene) -> Result<(), OtherScene> {
         let trained = &self.plan.views;
-        let found = Views::of(scene, self.plan.near());
+        let found = self.plan.views_of(scene);
         if found.train.len() != trained.train.len() {
-            return Err(SceneProblem::OtherFrames {
+            return Err(OtherScene::OtherFrames {
                 trained: trained.train.len(),
                 found: found.train.len(),
             });
@@ -236,7 +240,7 @@ impl Run {
         let mut pairs = found.train.iter().zip(&trained.train);
         match pairs.find(|(found, trained)| found != trained) {
             None => Ok(()),
-            Some((found, _)) => Err(SceneProblem::OtherView {
+            Some((found, _)) => Err(OtherScene::OtherView {
                 view: found.name.clone(),
             }),
         }

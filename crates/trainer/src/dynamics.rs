@@ -74,19 +74,13 @@ pub(crate) fn start_dynamics(
         Tensor::<2>::from_data(TensorData::new(values, shape), (device, dtype)).require_grad()
     };
     let canonical = init.canonical_frame;
-    let at_canonical: Vec<DVec3> = (0..kept)
-        .map(|p| init.tracks.positions[p * frames + canonical])
-        .collect();
     let MotionBases { rots, transls, .. } = MotionBases::from_init(&init, device, dtype);
     let (mut rots, mut transls) = (rots.require_grad(), transls.require_grad());
     let mut coefficients = start(
         init.coefficients.iter().map(|&c| f64::from(c)).collect(),
         [kept, bases],
     );
-    let mut means = start(
-        at_canonical.iter().flat_map(|m| m.to_array()).collect(),
-        [kept, 3],
-    );
+    let mut means = start(init.canonical_means(), [kept, 3]);
     let data = FitData::new(&init, &cameras, device, dtype)?;
     let mut states = [&rots, &transls, &coefficients, &means].map(AdamState::new);
     let steps = settings.motion.first_fit_steps;

@@ -17,6 +17,24 @@ pub enum TrainError {
     /// The scene cannot be trained on.
     #[error("the scene cannot be trained on")]
     Scene(#[from] SceneProblem),
+    /// A run is gone on with, or scored, on another scene than it was trained on.
+    #[error("this is not the scene of the run")]
+    OtherScene(#[from] OtherScene),
+    /// A run cannot start from the given Gaussians.
+    #[error(
+        "training starts from at least one Gaussian of SH degree {degree}, before its first iteration; \
+         given are {gaussians} of degree {found} at iteration {iteration}"
+    )]
+    StartFrom {
+        /// Degree of the settings.
+        degree: usize,
+        /// Degree of the Gaussians.
+        found: usize,
+        /// Their number.
+        gaussians: usize,
+        /// Iterations done.
+        iteration: usize,
+    },
     /// A checkpoint cannot be used.
     #[error("checkpoint {}", path.display())]
     Checkpoint {
@@ -104,21 +122,6 @@ pub enum SceneProblem {
     /// No pixel is fit for a Gaussian.
     #[error("no Gaussian can be placed: all pixels are masked, on depth edges, or without depth")]
     NothingToPlace,
-    /// A run cannot start from the given Gaussians.
-    #[error(
-        "training starts from at least one Gaussian of SH degree {degree}, before its first iteration; \
-         given are {gaussians} of degree {found} at iteration {iteration}"
-    )]
-    StartFrom {
-        /// Degree of the settings.
-        degree: usize,
-        /// Degree of the Gaussians.
-        found: usize,
-        /// Their number.
-        gaussians: usize,
-        /// Iterations done.
-        iteration: usize,
-    },
     /// An unseen view cannot be warped.
     #[error("unseen view {name}")]
     UnseenView {
@@ -127,7 +130,13 @@ pub enum SceneProblem {
         /// Why.
         source: unseen_views::WarpError,
     },
-    /// A run was trained on other frames.
+}
+
+/// Why a scene is not the one that a run was trained on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OtherScene {
+    /// It has another number of frames.
     #[error(
         "the run was trained on {trained} frames and the scene has {found}; \
          give the scene (and --downscale, --images) of the run"
@@ -138,16 +147,16 @@ pub enum SceneProblem {
         /// Frames of the scene.
         found: usize,
     },
-    /// A run was trained with other cameras or pictures of another size.
+    /// A view differs in anything but its picture.
     #[error(
-        "view {view} has another camera, pose or size than in training; \
+        "view {view} has another name, time, camera, pose or size than in training; \
          give the scene (and --downscale, --images) of the run"
     )]
     OtherView {
         /// Name of the first view that differs.
         view: String,
     },
-    /// A run was trained on a scene of another size.
+    /// Its depth says that it has another size.
     #[error(
         "the scene's size is {found} and was {trained} in training; give the scene (and --downscale, --images) of the run"
     )]
@@ -156,6 +165,12 @@ pub enum SceneProblem {
         found: f64,
         /// Size in training.
         trained: f64,
+    },
+    /// There are unseen views now and there were none in training, or the other way round.
+    #[error("it gives {found} unseen views: its depth or its masks are others than in training")]
+    UnseenViews {
+        /// Unseen views that the scene gives.
+        found: usize,
     },
 }
 
@@ -236,7 +251,7 @@ pub enum CheckpointProblem {
     },
     /// It does not go with the scene.
     #[error("it does not go with the scene")]
-    Scene(#[source] SceneProblem),
+    Scene(#[source] OtherScene),
     /// Its parts contradict each other.
     #[error("{0}")]
     Contradiction(&'static str),

@@ -64,10 +64,11 @@ mod unseen;
 mod views;
 mod world;
 
-pub use blur::{BlurFigures, BlurModel, KernelView, Kernels, ViewBlur};
+pub use blur::{BlurFigures, BlurModel, KernelFigures, KernelView, Kernels, ViewBlur};
 pub use burn::tensor::Device;
 pub use checkpoint::FILE_NAME as CHECKPOINT_FILE;
-pub use error::{CheckpointProblem, SceneProblem, TrainError};
+pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError};
+pub use glam;
 pub use model::Model;
 pub use parameter::{Group, Parameter, Rows};
 pub use run::{Run, TrainingView};

@@ -1,11 +1,10 @@
 //! Looking at the world: where from, and what comes of it.
 
 use crate::TrainError;
-use crate::tensors::pose_tensor;
 use crate::views::{CameraView, ViewRef};
 use crate::world::World;
 use burn::tensor::Tensor;
-use splat_core::{Extra, Rendered, render};
+use splat_core::{Extra, Rendered, Viewpoint, render};
 use tracing::trace_span;
 
 /// What is looked at, and how.
@@ -28,6 +27,8 @@ pub(crate) struct Shown<T> {
     pub(crate) rendered: Rendered,
     /// What the model says the camera saw, [H, W, 3].
     pub(crate) seen: Tensor<3>,
+    /// Radius of every Gaussian where it was drawn largest, px, `[N]`; 0 for those that were not drawn.
+    pub(crate) radii: Tensor<1>,
     /// The blur model's own terms of the loss.
     pub(crate) terms: Terms,
     /// `None` where the camera saw the sharp render.
@@ -39,15 +40,11 @@ impl<T> Shown<T> {
     pub(crate) fn sharp(rendered: Rendered) -> Self {
         Self {
             seen: rendered.color(),
+            radii: rendered.radii(),
             rendered,
             terms: Terms::default(),
             trace: None,
         }
-    }
-
-    /// Radius of every Gaussian where it was drawn largest, px, `[N]`; 0 for those that were not drawn.
-    pub(crate) fn radii(&self) -> Tensor<1> {
-        self.rendered.radii()
     }
 
     /// What the camera saw. Holes take the picture itself, so that windows over them carry no false loss.
@@ -67,6 +64,7 @@ impl<T> Shown<T> {
         Shown {
             rendered: self.rendered,
             seen: self.seen,
+            radii: self.radii,
             terms: self.terms,
             trace: self.trace.map(keep),
         }
@@ -93,11 +91,12 @@ impl Terms {
 /// The scene as a camera without blur sees it: posed at the look's time, rendered.
 pub(crate) fn render_sharp(world: &World, look: &Look<'_>) -> Result<Rendered, TrainError> {
     let posed = trace_span!("pose").in_scope(|| world.pose(look.viewpoint.time));
-    let viewpoint = splat_core::Viewpoint {
-        camera: look.viewpoint.camera.clone(),
-        cam_from_world: pose_tensor(&look.viewpoint.cam_from_world, &world.means),
-        sh_degree: look.sh_degree,
-    };
+    let CameraView {
+        camera,
+        cam_from_world,
+        ..
+    } = look.viewpoint;
+    let viewpoint = Viewpoint::new(camera, cam_from_world, look.sh_degree, &posed.splats);
     let extra = Extra {
         features: posed.dynamic,
         screen_grad: look.screen_grad.clone(),

@@ -26,10 +26,7 @@ impl Optimizer {
         let state = self
             .states
             .entry(parameter.name.clone())
-            .or_insert_with(|| match parameter.rows() {
-                Rows::Frames => AdamState::per_row(tensor),
-                Rows::Gaussians | Rows::DynamicGaussians | Rows::Whole => AdamState::new(tensor),
-            });
+            .or_insert_with(|| AdamState::of(tensor, parameter.rows()));
         adam_step(tensor, grad, state, step);
     }
 

@@ -5,6 +5,7 @@ use crate::schedule::{Modelled, Schedule};
 use crate::settings::Settings;
 use crate::survey::Survey;
 use crate::views::Views;
+use io::Scene;
 
 /// A run may always have so many Gaussians, however small its pictures.
 const LEAST_MAX_GAUSSIANS: usize = 20_000;
@@ -22,6 +23,11 @@ impl Plan {
     /// Near plane, scene units.
     pub(crate) fn near(&self) -> f64 {
         self.settings.gaussians.near * self.survey.scene_size
+    }
+
+    /// The views of a scene, as this run looks at them.
+    pub(crate) fn views_of(&self, scene: &Scene) -> Views {
+        Views::of(scene, self.near())
     }
 
     /// The most Gaussians this run may have.

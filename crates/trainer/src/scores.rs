@@ -111,13 +111,15 @@ impl Run {
         self.check_scene(scene)?;
         let truth = scene.truth()?;
         let mut test = Vec::new();
-        for (index, (view, viewpoint)) in scene.test.iter().zip(&self.views().test).enumerate() {
+        // The scene's own test views: it may have others than when the run began.
+        let views = self.plan.views_of(scene);
+        for (index, (view, viewpoint)) in scene.test.iter().zip(&views.test).enumerate() {
             let image = self.render_viewpoint(viewpoint)?;
             let wanted = colors.map_or_else(|| view.image.clone(), |map| map.apply(&view.image));
             test.push(score(&view.name, &image, &wanted, &regions(&truth, index)));
         }
         let (mut train_sharp, mut figures) = (Vec::new(), FigureSums::default());
-        if truth.sharp.is_some() || self.model().blur.starts_by(self.iteration()) {
+        if truth.sharp.is_some() || self.model().blur.is_on(self.iteration()) {
             for (index, viewpoint) in self.views().train.iter().enumerate() {
                 let view = self.render_training_view(index)?;
                 if let Some(blur) = &view.blur {

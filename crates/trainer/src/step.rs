@@ -13,6 +13,7 @@ use crate::tensors::host;
 use crate::trainer::Trainer;
 use crate::views::ViewRef;
 use burn::tensor::{Gradients, Tensor};
+use host::{all_zero, count_not_finite};
 use tracing::trace_span;
 
 /// What an iteration did.
@@ -91,7 +92,7 @@ impl Trainer {
         };
         let state = &mut self.run.state;
         if let Some(norms) = norms {
-            let radii = host(shown.radii());
+            let radii = host(shown.radii);
             state.density.accumulate(&host(norms), &radii);
         }
         if let Some(trace) = shown.trace {
@@ -190,11 +191,18 @@ fn take_gradients(
     grads: &mut Gradients,
 ) -> Result<Vec<Option<Tensor<2>>>, (Parameter, NonFiniteGradient)> {
     let _span = trace_span!("check gradients").entered();
-    let take = |(parameter, tensor): (Parameter, Tensor<2>)| {
-        let grad = tensor.grad_remove(grads).map(finite_gradient);
-        grad.transpose().map_err(|problem| (parameter, problem))
-    };
-    model.parameters().into_iter().map(take).collect()
+    let mut take = |tensor: &Tensor<2>| tensor.grad_remove(grads);
+    let parameters = model.parameters();
+    let gradients: Vec<_> = parameters.iter().map(|(_, tensor)| take(tensor)).collect();
+    if all_zero(gradients.iter().flatten().map(count_not_finite).collect()) {
+        return Ok(gradients);
+    }
+    let named = parameters.into_iter().zip(gradients);
+    let checked = named.map(|((parameter, _), gradient)| {
+        let checked = gradient.map(finite_gradient).transpose();
+        checked.map_err(|problem| (parameter, problem))
+    });
+    checked.collect()
 }
 
 #[cfg(test)]

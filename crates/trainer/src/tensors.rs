@@ -1,8 +1,6 @@
 //! Tensors of the trainer: constants, leaves, and values on the host.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use glam::DAffine3;
-use splat_core::pose_rows;
 
 /// The same values without a graph. (`detach` would not do: it keeps a leaf's wish for a gradient.)
 pub(crate) fn constant(tensor: &Tensor<2>) -> Tensor<2> {
@@ -29,17 +27,6 @@ pub(crate) fn tensor<const D: usize>(
     device: &Device,
 ) -> Tensor<D> {
     Tensor::from_data(TensorData::new(values, shape), device)
-}
-
-/// A pose as a tensor [3, 4] of the device and dtype of another.
-pub(crate) fn pose_tensor<const D: usize>(
-    cam_from_world: &DAffine3,
-    like: &Tensor<D>,
-) -> Tensor<2> {
-    Tensor::from_data(
-        TensorData::new(pose_rows(cam_from_world).to_vec(), [3, 4]),
-        (&like.device(), like.dtype()),
-    )
 }
 
 /// `tensor` as a new leaf that keeps its gradient if `autodiff`, else as it is.

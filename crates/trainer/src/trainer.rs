@@ -4,7 +4,7 @@ use crate::TrainError;
 use crate::blur::BlurModel;
 use crate::checkpoint::FILE_NAME;
 use crate::dynamics::start_dynamics;
-use crate::error::{CheckpointProblem, SceneProblem};
+use crate::error::{CheckpointProblem, OtherScene, SceneProblem};
 use crate::model::Model;
 use crate::objective::Objective;
 use crate::placement::{Seeds, place_points, place_static};
@@ -96,6 +96,7 @@ impl Trainer {
             (&device, dtype),
         );
         let size = survey.scene_size;
+        let views = Views::of(&scene, settings.gaussians.near * size);
         let model = Model {
             world: World {
                 means: start.means.require_grad(),
@@ -106,9 +107,8 @@ impl Trainer {
                 num_dynamic,
                 motion,
             },
-            blur: BlurModel::new(&settings, size, scene.frames.len(), (&device, dtype))?,
+            blur: BlurModel::new(&settings, size, &views, (&device, dtype))?,
         };
-        let views = Views::of(&scene, settings.gaussians.near * size);
         let unseen = unseen_views(&scene, &views, &settings, size)?;
         if settings.unseen.enabled && survey.depth {
             survey.notes.push(format!("{} unseen views", unseen.len()));
@@ -134,16 +134,21 @@ impl Trainer {
     ///
     /// # Errors
     /// The scene is another, or was read in another way.
-    pub fn resume(run: Run, mut scene: Scene) -> Result<Self, TrainError> {
+    pub fn resume(mut run: Run, mut scene: Scene) -> Result<Self, TrainError> {
         run.check_scene(&scene)?;
         // The survey is made again for what it does to the scene's depth, and must agree.
         let found = survey(&mut scene)?.scene_size;
         let trained = run.plan.survey.scene_size;
         if found != trained {
-            return Err(SceneProblem::OtherSize { found, trained }.into());
+            return Err(OtherScene::OtherSize { found, trained }.into());
         }
+        run.plan.views.test = run.plan.views_of(&scene).test;
         let plan = &run.plan;
         let unseen = unseen_views(&scene, &plan.views, &plan.settings, trained)?;
+        if plan.schedule.unseen_from.is_some() == unseen.is_empty() {
+            let found = unseen.len();
+            return Err(OtherScene::UnseenViews { found }.into());
+        }
         Ok(Self {
             run,
             data: Data { scene, unseen },
@@ -156,7 +161,7 @@ impl Trainer {
     /// As those.
     pub fn load(folder: &Path, scene: Scene, device: &Device) -> Result<Self, TrainError> {
         Self::resume(Run::open(folder, device)?, scene).map_err(|error| match error {
-            TrainError::Scene(problem) => TrainError::Checkpoint {
+            TrainError::OtherScene(problem) => TrainError::Checkpoint {
                 path: folder.join(FILE_NAME),
                 problem: CheckpointProblem::Scene(problem),
             },
@@ -173,13 +178,12 @@ impl Trainer {
         let degree = self.run.plan.settings.gaussians.sh_degree;
         let iteration = self.run.iteration();
         if gaussians.is_empty() || iteration > 0 || gaussians.sh_degree != degree {
-            return Err(SceneProblem::StartFrom {
+            return Err(TrainError::StartFrom {
                 degree,
                 found: gaussians.sh_degree,
                 gaussians: gaussians.len(),
                 iteration,
-            }
-            .into());
+            });
         }
         let n = gaussians.len();
         let Run {

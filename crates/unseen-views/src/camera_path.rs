@@ -73,9 +73,9 @@ fn unit(v: DVec3) -> Option<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cases::cases;
     use arbtest::arbitrary::{Result, Unstructured};
     use glam::DQuat;
+    use property::property;
     use splat_core::camera_center;
 
     fn number(u: &mut Unstructured<'_>, limit: f64) -> Result<f64> {
@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_pose_is_half_way_between_itself_and_itself() {
-        cases(|u| {
+        property("a_pose_is_half_way_between_itself_and_itself", 500, |u| {
             let a = pose(u)?;
             let middle = parallel_pose(&a, &a).expect("a pose has a direction");
             assert!(
@@ -130,18 +130,22 @@ mod tests {
 
     #[test]
     fn half_way_is_rigid_and_does_not_depend_on_the_order() {
-        cases(|u| {
-            let (a, b) = (pose(u)?, pose(u)?);
-            let (ab, ba) = (parallel_pose(&a, &b), parallel_pose(&b, &a));
-            assert_eq!(ab, ba, "the order of the pair decided");
-            if let Some(pose) = ab {
-                assert_rigid(&pose);
-                let expected = (camera_center(&a) + camera_center(&b)) * 0.5;
-                let distance = camera_center(&pose).distance(expected);
-                assert!(distance < 1e-9, "{distance} off the midpoint");
-            }
-            Ok(())
-        });
+        property(
+            "half_way_is_rigid_and_does_not_depend_on_the_order",
+            500,
+            |u| {
+                let (a, b) = (pose(u)?, pose(u)?);
+                let (ab, ba) = (parallel_pose(&a, &b), parallel_pose(&b, &a));
+                assert_eq!(ab, ba, "the order of the pair decided");
+                if let Some(pose) = ab {
+                    assert_rigid(&pose);
+                    let expected = (camera_center(&a) + camera_center(&b)) * 0.5;
+                    let distance = camera_center(&pose).distance(expected);
+                    assert!(distance < 1e-9, "{distance} off the midpoint");
+                }
+                Ok(())
+            },
+        );
     }
 
     #[test]
@@ -187,24 +191,28 @@ mod tests {
 
     #[test]
     fn across_is_perpendicular_to_view_and_baseline_and_as_far_as_told() {
-        cases(|u| {
-            let (a, b, offset) = (pose(u)?, pose(u)?, number(u, 2.0)?);
-            let moved = perpendicular_pose(&a, &b, offset);
-            assert_eq!(moved.matrix3, a.matrix3, "the rotation changed");
-            let step = camera_center(&moved) - camera_center(&a);
-            assert!(
-                (step.length() - offset.abs()).abs() < 1e-9,
-                "moved by {} instead of {offset}",
-                step.length()
-            );
-            let view = a.inverse().matrix3.z_axis;
-            assert!(step.dot(view).abs() < 1e-9, "moved along the view");
-            let baseline = (camera_center(&b) - camera_center(&a)).normalize_or_zero();
-            if view.cross(baseline).length() > 1e-3 {
-                assert!(step.dot(baseline).abs() < 1e-9, "moved along the path");
-            }
-            Ok(())
-        });
+        property(
+            "across_is_perpendicular_to_view_and_baseline_and_as_far_as_told",
+            500,
+            |u| {
+                let (a, b, offset) = (pose(u)?, pose(u)?, number(u, 2.0)?);
+                let moved = perpendicular_pose(&a, &b, offset);
+                assert_eq!(moved.matrix3, a.matrix3, "the rotation changed");
+                let step = camera_center(&moved) - camera_center(&a);
+                assert!(
+                    (step.length() - offset.abs()).abs() < 1e-9,
+                    "moved by {} instead of {offset}",
+                    step.length()
+                );
+                let view = a.inverse().matrix3.z_axis;
+                assert!(step.dot(view).abs() < 1e-9, "moved along the view");
+                let baseline = (camera_center(&b) - camera_center(&a)).normalize_or_zero();
+                if view.cross(baseline).length() > 1e-3 {
+                    assert!(step.dot(baseline).abs() < 1e-9, "moved along the path");
+                }
+                Ok(())
+            },
+        );
     }
 
     #[test]

@@ -9,8 +9,6 @@
 //! (i + 0.5, j + 0.5); depth is z-depth in scene units; poses are named `cam_from_world`.
 
 mod camera_path;
-#[cfg(test)]
-mod cases;
 mod depth_edges;
 mod error;
 mod warp;
@@ -18,4 +16,5 @@ mod warp;
 pub use camera_path::{parallel_pose, perpendicular_pose};
 pub use depth_edges::depth_edges;
 pub use error::WarpError;
+pub use glam;
 pub use warp::{Source, WarpOptions, Warped, warp};

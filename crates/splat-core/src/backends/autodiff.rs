@@ -9,13 +9,15 @@ use burn::backend::{Autodiff, AutodiffBackend, tensor::FloatTensor};
 use host::register;
 
 use crate::camera::Camera;
-use crate::ops::{Blended, INPUTS, PreparedView, Projected, Scene, SplatBackwardOps, SplatOps};
+use crate::ops::{
+    Blended, INPUTS, PreparedView, Projected, SceneTensors, SplatBackwardOps, SplatOps,
+};
 
 #[derive(Debug)]
 struct Rasterize;
 
 impl<B: SplatBackwardOps> Backward<B, INPUTS> for Rasterize {
-    type State = (B::Saved, Scene<B>, FloatTensor<B>);
+    type State = (B::Saved, SceneTensors<B>, FloatTensor<B>);
 
     fn backward(
         self,
@@ -33,7 +35,7 @@ impl<B: SplatBackwardOps> Backward<B, INPUTS> for Rasterize {
 }
 
 impl<B: SplatBackwardOps, C: CheckpointStrategy> SplatOps for Autodiff<B, C> {
-    fn project(scene: Scene<Self>, camera: Camera, sh_degree: usize) -> Projected<Self> {
+    fn project(scene: SceneTensors<Self>, camera: Camera, sh_degree: usize) -> Projected<Self> {
         let scene = scene.map::<B>(<Self as AutodiffBackend>::inner);
         match B::project(scene, camera, sh_degree) {
             Projected::Done(view) => {
@@ -45,7 +47,7 @@ impl<B: SplatBackwardOps, C: CheckpointStrategy> SplatOps for Autodiff<B, C> {
 
     fn rasterize(
         view: PreparedView<Self>,
-        scene: Scene<Self>,
+        scene: SceneTensors<Self>,
         features: FloatTensor<Self>,
         screen_grad: FloatTensor<Self>,
     ) -> Blended<Self> {

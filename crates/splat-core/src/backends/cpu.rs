@@ -13,14 +13,18 @@ use crate::cpu::{
 };
 use crate::error::SplatError;
 use crate::ops::{
-    Blended, HostProjection, INPUTS, POSE, PreparedView, Projected, Scene, SplatBackwardOps,
+    Blended, HostProjection, INPUTS, POSE, PreparedView, Projected, SceneTensors, SplatBackwardOps,
     SplatOps,
 };
 
 macro_rules! host_ops {
     ($backend:ty) => {
         impl SplatOps for $backend {
-            fn project(scene: Scene<Self>, camera: Camera, sh_degree: usize) -> Projected<Self> {
+            fn project(
+                scene: SceneTensors<Self>,
+                camera: Camera,
+                sh_degree: usize,
+            ) -> Projected<Self> {
                 match project_on::<Self>(scene, camera, sh_degree) {
                     Ok(view) => Projected::Done(view),
                     Err(error) => Projected::Refused(error),
@@ -29,7 +33,7 @@ macro_rules! host_ops {
 
             fn rasterize(
                 view: PreparedView<Self>,
-                _scene: Scene<Self>,
+                _scene: SceneTensors<Self>,
                 features: FloatTensor<Self>,
                 _screen_grad: FloatTensor<Self>,
             ) -> Blended<Self> {
@@ -47,13 +51,18 @@ macro_rules! host_ops {
                 view: PreparedView<Self>,
                 features: FloatTensor<Self>,
             ) -> Result<(FloatTensor<Self>, Self::Saved), SplatError> {
-                let PreparedView::Host { projection, .. } = view;
-                let (output, saved) = match projection {
-                    HostProjection::F32(projection) => {
+                let (output, saved) = match view {
+                    PreparedView::Host {
+                        projection: HostProjection::F32(projection),
+                        ..
+                    } => {
                         let (output, state) = rasterize_on::<f32, Self>(&projection, features)?;
                         (output, Saved::F32(projection, state))
                     }
-                    HostProjection::F64(projection) => {
+                    PreparedView::Host {
+                        projection: HostProjection::F64(projection),
+                        ..
+                    } => {
                         let (output, state) = rasterize_on::<f64, Self>(&projection, features)?;
                         (output, Saved::F64(projection, state))
                     }
@@ -63,7 +72,7 @@ macro_rules! host_ops {
 
             fn rasterize_backward(
                 saved: Self::Saved,
-                scene: Scene<Self>,
+                scene: SceneTensors<Self>,
                 features: FloatTensor<Self>,
                 gradient: FloatTensor<Self>,
                 wanted: [bool; INPUTS],
@@ -106,7 +115,7 @@ impl From<Projection<f64>> for HostProjection {
 
 /// Calls `run` with a scene on slices, the pose apart.
 fn with_slices<T: HostFloat, B: HostBackend, R>(
-    scene: Scene<B>,
+    scene: SceneTensors<B>,
     run: impl FnOnce(&SplatSlices<'_, T>, &[T]) -> R,
 ) -> R {
     let mut s = scene;
@@ -124,13 +133,13 @@ fn with_slices<T: HostFloat, B: HostBackend, R>(
 }
 
 fn project_on<B: HostBackend>(
-    scene: Scene<B>,
+    scene: SceneTensors<B>,
     camera: Camera,
     sh_degree: usize,
 ) -> Result<PreparedView<B>, SplatError> {
     let like = scene.means.clone();
     let (projection, radii) = with_float!(like.dtype(), T => {
-        let mut projection = with_slices::<T, B, _>(scene, |splats, pose| {
+        let projection = with_slices::<T, B, _>(scene, |splats, pose| {
             let view = View {
                 camera,
                 cam_from_world: std::array::from_fn(|k| pose[k].to_f64()),
@@ -138,7 +147,7 @@ fn project_on<B: HostBackend>(
             };
             cpu::project(splats, &view)
         })?;
-        let radii = std::mem::take(&mut projection.radii);
+        let radii = projection.radii().to_vec();
         (projection.into(), radii)
     });
     let rows = radii.len();
@@ -165,23 +174,16 @@ fn rasterize_on<T: HostFloat + Float, B: HostBackend>(
 fn backward_on<T: HostFloat + Float, B: HostBackend>(
     projection: &Projection<T>,
     state: &RasterState<T>,
-    scene: Scene<B>,
+    scene: SceneTensors<B>,
     mut features: FloatTensor<B>,
     mut gradient: FloatTensor<B>,
     wanted: [bool; INPUTS],
 ) -> [Option<FloatTensor<B>>; INPUTS] {
     let like = gradient.clone();
-    let shapes: [Shape; INPUTS] = [
-        scene.means.shape(),
-        scene.quats.shape(),
-        scene.left_rotations.shape(),
-        scene.log_scales.shape(),
-        scene.opacity_logits.shape(),
-        scene.sh.shape(),
-        scene.cam_from_world.shape(),
-        features.shape(),
-        Shape::from([projection.len()]),
-    ];
+    let shapes = scene.clone().into_array().map(|tensor| tensor.shape());
+    let shapes = shapes
+        .into_iter()
+        .chain([features.shape(), Shape::from([projection.len()])]);
     let g = with_slices::<T, B, _>(scene, |splats, _| {
         let forward = Forward {
             splats,

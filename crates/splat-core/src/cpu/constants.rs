@@ -1,6 +1,6 @@
 //! What fixes an image beside its inputs.
 
-/// Side of a square tile in pixels, and the number of lanes of the inner loops.
+/// Side of a square tile in pixels.
 pub const TILE: usize = 16;
 /// Alpha is clamped here; a clamped alpha passes no gradient.
 pub const MAX_ALPHA: f64 = 0.999;

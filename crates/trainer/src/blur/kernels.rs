@@ -8,6 +8,7 @@ use crate::random::{Purpose, derived_seed};
 use crate::schedule::scaled_moment;
 use crate::settings::Settings;
 use crate::tensors::{constant, host};
+use crate::views::Views;
 use crate::world::World;
 use bpnet::{
     BlurField, BlurInputs, BpNet, BpNetConfig, Composite, Extractor, HeadInit, cell_means,
@@ -15,7 +16,9 @@ use bpnet::{
 };
 use burn::tensor::{DType, Device, Tensor};
 use io::Map;
+use serde::{Deserialize, Serialize};
 use splat_core::Rendered;
+use std::fmt;
 use tracing::trace_span;
 
 /// BP-Net, the gauge that holds its kernels in place, and when what of it counts.
@@ -80,10 +83,11 @@ impl Kernels {
     pub(super) fn new(
         settings: &Settings,
         scene_size: f64,
-        num_frames: usize,
+        views: &Views,
         (device, dtype): (&Device, DType),
     ) -> Result<Self, TrainError> {
         let (blur, loss) = (&settings.blur, &settings.loss);
+        let num_frames = views.train.len();
         let config = BpNetConfig {
             kernel_size: blur.kernel_size,
             num_frames,
@@ -115,6 +119,11 @@ impl Kernels {
         })
     }
 
+    /// Whether frames are blurred at iteration `it`, or once `it` iterations are done.
+    pub(super) fn is_on(&self, it: usize) -> bool {
+        it > self.moments.from
+    }
+
     pub(super) fn moments(&self) -> [usize; 4] {
         let m = &self.moments;
         [m.from, m.step_from, m.kernel_center_from, m.downsample_from]
@@ -129,8 +138,7 @@ impl Kernels {
         fixed: Option<(&Rendered, Option<&KernelTrace>)>,
     ) -> Result<Shown<KernelTrace>, TrainError> {
         let rendered = render_sharp(world, look)?;
-        let on = look.iteration > self.moments.from;
-        let Some(frame) = look.frame.filter(|_| on) else {
+        let Some(frame) = look.frame.filter(|_| self.is_on(look.iteration)) else {
             return Ok(Shown::sharp(rendered));
         };
         let sees = fixed.map_or(&rendered, |(rendered, _)| rendered);
@@ -149,6 +157,7 @@ impl Kernels {
         let terms = self.terms(look, &rendered, &mut trace, fixed_intensity);
         Ok(Shown {
             seen: trace.composite.picture(),
+            radii: rendered.radii(),
             rendered,
             terms,
             trace: Some(trace),
@@ -282,9 +291,56 @@ impl KernelTrace {
     }
 }
 
+/// Figures of [`BlurModel::Kernels`](super::BlurModel::Kernels) over all training frames.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KernelFigures {
+    /// Length of the mean of m Σ k Δx over all pixels of all training frames, px.
+    pub kernel_centroid_px: f64,
+    /// Mean blur intensity m over all pixels of all training frames.
+    pub mean_intensity: f64,
+}
+
+impl fmt::Display for KernelFigures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (m, shift) = (self.mean_intensity, self.kernel_centroid_px);
+        write!(
+            f,
+            "mean blur intensity {m:.2}, kernels' common shift {shift:.2} px"
+        )
+    }
+}
+
+/// What [`KernelFigures`] are the means of.
+#[derive(Debug, Default)]
+pub(super) struct KernelSums {
+    count: usize,
+    shift: [f64; 2],
+    intensity: f64,
+}
+
+impl KernelSums {
+    pub(super) fn add(&mut self, view: &KernelView) {
+        self.count += 1;
+        let [x, y] = view.centroid;
+        self.shift = [self.shift[0] + x, self.shift[1] + y];
+        let values = &view.intensity.values;
+        self.intensity += values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
+    }
+
+    /// `None` of no view.
+    pub(super) fn means(&self) -> Option<KernelFigures> {
+        let count = self.count as f64;
+        (self.count > 0).then(|| KernelFigures {
+            kernel_centroid_px: self.shift[0].hypot(self.shift[1]) / count,
+            mean_intensity: self.intensity / count,
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::schedule::{Modelled, Schedule};
 
     fn moments(n: usize) -> [usize; 4] {
         let settings = Settings {
@@ -304,6 +360,17 @@ mod tests {
             let [from, step_from, kernel_center_from, _] = moments(n);
             assert!(0 < from && from < step_from && step_from < kernel_center_from);
             assert!(kernel_center_from < n, "at {n}");
+            let modelled = Modelled {
+                motion: true,
+                unseen: true,
+                blur_moments: moments(n).to_vec(),
+            };
+            let settings = Settings {
+                iterations: n,
+                ..Settings::default()
+            };
+            let unseen_from = Schedule::new(&settings, 24, modelled).unseen_from;
+            assert!(unseen_from.expect("unseen views") < from, "at {n}");
         }
     }
 

@@ -21,9 +21,9 @@ const SMALLEST_FIRST: f64 = 1e-30;
 /// Second moments below this are zero: their root vanishes beside epsilon.
 const SMALLEST_SECOND: f64 = 1e-37;
 
-/// Rows that step, and how often they have then done so.
+/// SteppedRows that step, and how often they have then done so.
 #[derive(Clone, Debug)]
-pub(crate) enum Rows {
+pub(crate) enum SteppedRows {
     /// All, so often.
     All(u32),
     /// These rows, each with its own count.
@@ -35,7 +35,7 @@ pub(crate) enum Rows {
 pub(crate) struct AdamUpdate {
     /// Learning rate of each column.
     pub(crate) rates: Vec<f64>,
-    pub(crate) rows: Rows,
+    pub(crate) rows: SteppedRows,
 }
 
 /// One step on a parameter and its moments, all [N, C].
@@ -51,7 +51,7 @@ pub(crate) fn adam<T: Real>(
         return;
     }
     match &update.rows {
-        Rows::All(steps) => {
+        SteppedRows::All(steps) => {
             // Whole rows, at least a few hundred values long so that inner loops are not short.
             let tile = rates.repeat(512_usize.div_ceil(columns));
             let block = (BLOCK / tile.len()).max(1) * tile.len();
@@ -65,7 +65,7 @@ pub(crate) fn adam<T: Real>(
                     constants.step_rows(param, grad, [moment1, moment2], &tile);
                 });
         }
-        Rows::Drawn(rows) => {
+        SteppedRows::Drawn(rows) => {
             for (row, steps) in rows {
                 let at = row * columns..(row + 1) * columns;
                 let moments = [&mut moment1[at.clone()], &mut moment2[at.clone()]];
@@ -176,7 +176,7 @@ mod tests {
         let rates: Vec<f64> = (0..columns).map(|c| 1e-3 * (c + 1) as f64).collect();
         let update = |step| AdamUpdate {
             rates: rates.clone(),
-            rows: Rows::All(step),
+            rows: SteppedRows::All(step),
         };
         let start = |k: usize| k as f64 * 1e-3;
         let mut p: Vec<T> = (0..rows * columns).map(|k| T::of(start(k))).collect();
@@ -204,7 +204,7 @@ mod tests {
     fn one_step(p: &mut [f32], g: &[f32], m: &mut [f32], v: &mut [f32], step: u32) {
         let update = AdamUpdate {
             rates: vec![0.1],
-            rows: Rows::All(step),
+            rows: SteppedRows::All(step),
         };
         adam(p, g, [m, v], &update);
     }

@@ -1,7 +1,7 @@
 use super::*;
-use crate::cases::cases;
 use arbtest::arbitrary::{Result, Unstructured};
 use glam::DVec2;
+use property::{property, uniform};
 use splat_core::Camera;
 
 /// A picture's disparity, 0 where missing.
@@ -59,10 +59,6 @@ fn count(on_edge: &[bool]) -> usize {
 }
 
 /// A number in [low, high].
-fn uniform(u: &mut Unstructured<'_>, low: f64, high: f64) -> Result<f64> {
-    Ok(low + (high - low) * f64::from(u.arbitrary::<u16>()?) / f64::from(u16::MAX))
-}
-
 /// A plane seen by a pinhole of any focal length, slanted up to where its horizon touches a corner.
 fn plane(u: &mut Unstructured<'_>) -> Result<Picture> {
     let (width, height) = (u.int_in_range(6..=40)?, u.int_in_range(6..=40)?);
@@ -116,7 +112,7 @@ fn shrunk(width: usize, height: usize, size: usize, full: impl Fn(usize, usize) 
 #[test]
 fn a_plane_has_no_edge_however_slanted() {
     let mut steep = 0;
-    cases(|u| {
+    property("a_plane_has_no_edge_however_slanted", 500, |u| {
         let plane = plane(u)?;
         steep += count(&plane.steps(0.05));
         assert_eq!(count(&plane.edges(0.001)), 0, "{plane:?}");
@@ -128,7 +124,7 @@ fn a_plane_has_no_edge_however_slanted() {
 #[test]
 fn where_two_planes_meet_is_no_edge() {
     let mut steep = 0;
-    cases(|u| {
+    property("where_two_planes_meet_is_no_edge", 500, |u| {
         // A ridge or a valley between rows, from which each plane is seen for five pixels or more.
         let (width, height) = (u.int_in_range(6..=9)?, u.int_in_range(12..=30)?);
         let meet = uniform(u, 4.0, height as f64 - 5.0)?;
@@ -152,26 +148,30 @@ fn where_two_planes_meet_is_no_edge() {
 #[test]
 fn between_surfaces_that_face_the_camera_the_ratio_of_depths_decides() {
     let mut marked = 0;
-    cases(|u| {
-        // Patches of two pixels or more, some of them without depth.
-        let (columns, rows) = (u.int_in_range(1..=5)?, u.int_in_range(1..=5)?);
-        let patches = values(u, columns, rows)?;
-        let size = u.int_in_range(2..=5)?;
-        let picture = Picture::new(columns * size, rows * size, |x, y| {
-            patches.disparity[y / size * columns + x / size]
-        });
-        let edge = uniform(u, 0.0, 2.0)?;
-        let on_edge = picture.edges(edge);
-        assert_eq!(on_edge, picture.steps(edge), "{edge} in {picture:?}");
-        marked += count(&on_edge);
-        Ok(())
-    });
+    property(
+        "between_surfaces_that_face_the_camera_the_ratio_of_depths_decides",
+        500,
+        |u| {
+            // Patches of two pixels or more, some of them without depth.
+            let (columns, rows) = (u.int_in_range(1..=5)?, u.int_in_range(1..=5)?);
+            let patches = values(u, columns, rows)?;
+            let size = u.int_in_range(2..=5)?;
+            let picture = Picture::new(columns * size, rows * size, |x, y| {
+                patches.disparity[y / size * columns + x / size]
+            });
+            let edge = uniform(u, 0.0, 2.0)?;
+            let on_edge = picture.edges(edge);
+            assert_eq!(on_edge, picture.steps(edge), "{edge} in {picture:?}");
+            marked += count(&on_edge);
+            Ok(())
+        },
+    );
     assert!(marked > 1000, "{marked} pixels were on an edge");
 }
 
 #[test]
 fn an_edge_smeared_over_some_pixels_stays_one() {
-    cases(|u| {
+    property("an_edge_smeared_over_some_pixels_stays_one", 500, |u| {
         // Each of its steps is one of 6 % or more; the surfaces beside it are as small as can be.
         let between = u.int_in_range(0..=2)?;
         let mut profile = vec![uniform(u, 0.01, 1.0)?; 2];
@@ -194,7 +194,7 @@ fn an_edge_smeared_over_some_pixels_stays_one() {
 #[test]
 fn every_mixed_pixel_of_a_shrunk_edge_is_on_it() {
     let (mut marked, mut differing) = (0, 0);
-    cases(|u| {
+    property("every_mixed_pixel_of_a_shrunk_edge_is_on_it", 500, |u| {
         // A half-plane of any direction in front of a wall, at a fraction of its size.
         let (width, height, size) = (16, 12, u.int_in_range(2..=6)?);
         let (far, near) = (0.2, 0.2 * uniform(u, 1.5, 5.0)?);
@@ -239,7 +239,7 @@ fn a_step_counts_beyond_its_surface_s_slope() {
 
 #[test]
 fn a_pole_in_front_of_a_slanted_plane_is_an_edge() {
-    cases(|u| {
+    property("a_pole_in_front_of_a_slanted_plane_is_an_edge", 500, |u| {
         let mut picture = plane(u)?;
         let nearest = picture.disparity.iter().copied().fold(0.0, f64::max);
         let near = nearest * uniform(u, 1.5, 5.0)?;
@@ -265,56 +265,64 @@ fn a_pole_in_front_of_a_slanted_plane_is_an_edge() {
 #[test]
 fn one_percent_of_noise_marks_hardly_a_pixel_of_a_plane() {
     let (mut marked, mut pixels) = (0, 0);
-    cases(|u| {
-        let mut picture = plane(u)?;
-        if count(&picture.steps(0.25)) > 0 {
-            // So near its horizon, neighbours' noise is no percent of the farther one's disparity.
-            return Ok(());
-        }
-        for disparity in &mut picture.disparity {
-            // Nearly normal, of deviation 1: a sum of four uniform numbers.
-            let mut noise = 0.0;
-            for _ in 0..4 {
-                noise += 3.0_f64.sqrt() * (f64::from(u.arbitrary::<u8>()?) / 255.0 - 0.5);
+    property(
+        "one_percent_of_noise_marks_hardly_a_pixel_of_a_plane",
+        500,
+        |u| {
+            let mut picture = plane(u)?;
+            if count(&picture.steps(0.25)) > 0 {
+                // So near its horizon, neighbours' noise is no percent of the farther one's disparity.
+                return Ok(());
             }
-            *disparity *= 1.0 + 0.01 * noise;
-        }
-        marked += count(&picture.edges(0.05));
-        pixels += picture.disparity.len();
-        Ok(())
-    });
+            for disparity in &mut picture.disparity {
+                // Nearly normal, of deviation 1: a sum of four uniform numbers.
+                let mut noise = 0.0;
+                for _ in 0..4 {
+                    noise += 3.0_f64.sqrt() * (f64::from(u.arbitrary::<u8>()?) / 255.0 - 0.5);
+                }
+                *disparity *= 1.0 + 0.01 * noise;
+            }
+            marked += count(&picture.edges(0.05));
+            pixels += picture.disparity.len();
+            Ok(())
+        },
+    );
     let share = marked as f64 / pixels as f64;
     assert!(pixels > 10_000 && share < 0.01, "{share} of {pixels}");
 }
 
 #[test]
 fn neither_unit_nor_mirror_nor_turn_matters_and_less_is_marked_than_by_the_ratio() {
-    cases(|u| {
-        let picture = any(u)?;
-        let (w, h) = (picture.width, picture.height);
-        let edge = uniform(u, 0.0, 1.0)?;
-        let on_edge = picture.edges(edge);
-        // Powers of two, and so not a bit is lost.
-        for scale in [2.0_f64.powi(-20), 2.0_f64.powi(20)] {
-            let scaled = Picture::new(w, h, |x, y| scale * picture.disparity[y * w + x]);
-            assert_eq!(scaled.edges(edge), on_edge, "{scale} times {picture:?}");
-        }
-        let mirrored = Picture::new(w, h, |x, y| picture.disparity[y * w + w - 1 - x]);
-        let turned = Picture::new(h, w, |x, y| picture.disparity[x * w + y]);
-        let (mirrored, turned) = (mirrored.edges(edge), turned.edges(edge));
-        let ratio = picture.steps(edge);
-        for (i, &is) in on_edge.iter().enumerate() {
-            let (x, y) = (i % w, i / w);
-            assert_eq!(
-                mirrored[y * w + w - 1 - x],
-                is,
-                "mirror, {i} of {picture:?}"
-            );
-            assert_eq!(turned[x * h + y], is, "turn, {i} of {picture:?}");
-            assert!(!is || ratio[i], "the ratio, {i} of {picture:?}");
-        }
-        Ok(())
-    });
+    property(
+        "neither_unit_nor_mirror_nor_turn_matters_and_less_is_marked_than_by_the_ratio",
+        500,
+        |u| {
+            let picture = any(u)?;
+            let (w, h) = (picture.width, picture.height);
+            let edge = uniform(u, 0.0, 1.0)?;
+            let on_edge = picture.edges(edge);
+            // Powers of two, and so not a bit is lost.
+            for scale in [2.0_f64.powi(-20), 2.0_f64.powi(20)] {
+                let scaled = Picture::new(w, h, |x, y| scale * picture.disparity[y * w + x]);
+                assert_eq!(scaled.edges(edge), on_edge, "{scale} times {picture:?}");
+            }
+            let mirrored = Picture::new(w, h, |x, y| picture.disparity[y * w + w - 1 - x]);
+            let turned = Picture::new(h, w, |x, y| picture.disparity[x * w + y]);
+            let (mirrored, turned) = (mirrored.edges(edge), turned.edges(edge));
+            let ratio = picture.steps(edge);
+            for (i, &is) in on_edge.iter().enumerate() {
+                let (x, y) = (i % w, i / w);
+                assert_eq!(
+                    mirrored[y * w + w - 1 - x],
+                    is,
+                    "mirror, {i} of {picture:?}"
+                );
+                assert_eq!(turned[x * h + y], is, "turn, {i} of {picture:?}");
+                assert!(!is || ratio[i], "the ratio, {i} of {picture:?}");
+            }
+            Ok(())
+        },
+    );
 }
 
 /// What a pixel of a room shows: its disparity, and whether that is the box.

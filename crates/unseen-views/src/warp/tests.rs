@@ -1,7 +1,7 @@
 use super::*;
-use crate::cases::cases;
 use arbtest::arbitrary::{Result, Unstructured};
 use glam::{DQuat, DVec3};
+use property::property;
 
 const KEEP_EDGES: WarpOptions = WarpOptions {
     sharpness: 50.0,
@@ -107,7 +107,7 @@ fn picture(u: &mut Unstructured<'_>) -> Result<Picture> {
 
 #[test]
 fn at_the_same_pose_the_picture_comes_back() {
-    cases(|u| {
+    property("at_the_same_pose_the_picture_comes_back", 500, |u| {
         let picture = picture(u)?;
         let warped = picture.to(&picture.cam_from_world, &KEEP_EDGES);
         let mask = warped.mask.as_ref().expect("a mask went in");
@@ -259,7 +259,7 @@ fn points_behind_the_camera_are_dropped() {
 
 #[test]
 fn what_comes_out_lies_between_what_went_in() {
-    cases(|u| {
+    property("what_comes_out_lies_between_what_went_in", 500, |u| {
         let picture = picture(u)?;
         let target = camera(u.int_in_range(1..=12)?, u.int_in_range(1..=12)?);
         let pose = pose(u, 0.5, 3.0)? * picture.cam_from_world;
@@ -291,7 +291,7 @@ fn what_comes_out_lies_between_what_went_in() {
 
 #[test]
 fn the_unit_of_length_does_not_matter() {
-    cases(|u| {
+    property("the_unit_of_length_does_not_matter", 500, |u| {
         let picture = picture(u)?;
         let step = pose(u, 0.3, 1.0)?;
         let scale: f64 = *u.choose(&[0.001, 0.5, 300.0])?;

@@ -1,4 +1,4 @@
-//! Properties on random input that is the same in every run.
+//! Properties on random input that is the same in every run; for tests alone.
 
 use arbtest::arbitrary::{Error, Result, Unstructured};
 use arbtest::arbtest;
