@@ -1,3 +1,5 @@
+//! The blur alone, without an intensity: every pixel a kernel of its own.
+
 use burn::tensor::Tensor;
 
 use crate::{BlurField, BpNetError, composite};

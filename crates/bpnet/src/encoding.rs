@@ -1,3 +1,5 @@
+//! The positional encoding p(x) of a pixel.
+
 use std::f64::consts::TAU;
 
 /// Channels of the positional encoding: sine and cosine of four frequencies on two axes.

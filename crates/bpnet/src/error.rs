@@ -1,3 +1,5 @@
+//! What can be wrong with a blur model or with what it is given.
+
 use burn::tensor::{DType, Tensor};
 use host::first_not_finite;
 use thiserror::Error;

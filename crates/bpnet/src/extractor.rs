@@ -1,3 +1,6 @@
+//! The scene feature extractor f_scene: three layers, as in the paper. Sizes of kernels, width of the output and the instance
+//! norm are the reference code's, which does not train it.
+
 use burn::tensor::Tensor;
 
 use crate::layers::{Layer, conv, instance_norm};

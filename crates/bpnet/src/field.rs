@@ -1,3 +1,7 @@
+//! What BP-Net predicts, and the picture that the camera saw by it: B = m (k * I) + (1 - m) I, with the paper's kernels k and
+//! blur intensities m. The reference code pads with black; here the weights inside the picture are scaled to sum to 1. And L_spa, the
+//! paper's kernel sparsity loss.
+
 use burn::backend::Dispatch;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 

@@ -1,3 +1,5 @@
+//! Random starting values, as a framework draws them.
+
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

@@ -1,3 +1,7 @@
+//! BP-Net, the paper's blur prediction network: four layers on camera embedding e(i), positional encoding p(x) and scene
+//! features f_scene(x), with a softmax for the kernel and a sigmoid for the intensity. Features are joined again behind the
+//! first two layers, as the paper says; its code joins the extractor's raw input once.
+
 use burn::tensor::{DType, Device, Tensor};
 use host::{all_zero, count_not_finite};
 

@@ -1,3 +1,5 @@
+//! The seam between tensors and kernels: the ops on a backend's tensors, forward and back.
+
 use burn::backend::{Backend, ExtensionType, backend_extension, tensor::FloatTensor};
 
 use crate::cpu::conv::ConvSize;

@@ -1,4 +1,5 @@
-//! Motion bases as tensors, and the motion of Gaussians at a time.
+//! Motion bases as tensors, and the motion of Gaussians at a time: μ(t) = R(t) μ + τ(t), the paper's equation 2, with the
+//! weighted sum of its equation 1 taken over 6D vectors and translations, before a rotation is made of the former.
 
 use crate::init::MotionInit;
 use crate::rotation::{MAX_ENTRY, gram_schmidt};

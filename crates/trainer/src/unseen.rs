@@ -1,4 +1,5 @@
-//! The unseen views of a run: training frames warped beside the camera's path.
+//! The unseen views of a run, which the paper adds to the training frames: frames warped between two cameras (parallel to the
+//! path) and beside it (perpendicular).
 
 use crate::error::{SceneProblem, TrainError};
 use crate::random::{Purpose, generator, unit};
