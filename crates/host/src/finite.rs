@@ -52,7 +52,7 @@ pub fn first_not_finite<const D: usize>(tensor: &Tensor<D>) -> Option<(usize, f6
 
 #[cfg(any(feature = "flex", feature = "ndarray"))]
 mod cpu {
-    use burn::backend::tensor::FloatTensor;
+    use burn::backend::{TensorMetadata, tensor::FloatTensor};
     use rayon::prelude::*;
 
     use super::FiniteOps;
@@ -79,7 +79,7 @@ mod cpu {
         ($backend:ty) => {
             impl FiniteOps for $backend {
                 fn count_not_finite(values: FloatTensor<Self>) -> FloatTensor<Self> {
-                    with_float!(values.dtype(), T => count_on::<T, Self>(values))
+                    with_float!(TensorMetadata::dtype(&values), T => count_on::<T, Self>(values))
                 }
             }
         };
