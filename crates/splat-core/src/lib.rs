@@ -33,6 +33,8 @@ mod backends;
 mod camera;
 pub mod cpu;
 mod error;
+#[cfg(feature = "burn")]
+mod expose;
 mod gaussians;
 #[cfg(feature = "burn")]
 #[cfg_attr(
@@ -46,7 +48,11 @@ mod render;
 mod splats;
 
 pub use camera::{Camera, CameraModel, camera_center, pose_rows};
+/// How pictures stand for light.
+pub use cpu::Transfer;
 pub use error::SplatError;
+#[cfg(feature = "burn")]
+pub use expose::{Exposed, Exposure, Movers, expose};
 pub use gaussians::Gaussians;
 /// Poses and points in this crate's signatures.
 pub use glam;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use burn::backend::{Backend, ExtensionType, backend_extension, tensor::FloatTensor};
 
 use crate::camera::Camera;
-use crate::cpu::Projection;
+use crate::cpu::{Projection, Transfer};
 use crate::error::SplatError;
 
 /// Gaussians and the camera's pose, in one float type.
@@ -35,6 +35,10 @@ const SCENE: usize = 7;
 pub(crate) const INPUTS: usize = SCENE + 2;
 /// Place of the pose among them.
 pub(crate) const POSE: usize = 6;
+/// Float inputs of [`SplatOps::expose`]: those of [`SceneTensors::into_array`], of [`MovingTensors::into_array`], screen statistic.
+pub(crate) const EXPOSE_INPUTS: usize = SCENE + 4;
+/// Place of the samples' poses among them.
+pub(crate) const POSES: usize = SCENE;
 
 impl<B: Backend> SceneTensors<B> {
     /// The same scene for a backend around or inside this one; `float` is called in the order of [`Self::into_array`].
@@ -65,6 +69,44 @@ impl<B: Backend> SceneTensors<B> {
             self.cam_from_world,
         ]
     }
+}
+
+/// What moves while the shutter is open, in each of n samples, in the scene's float type.
+#[derive(Clone, Debug, ExtensionType)]
+pub(crate) struct MovingTensors<B: Backend> {
+    /// [n, 3, 4].
+    pub(crate) poses: FloatTensor<B>,
+    /// Means of rows [0, F), [n, F, 3].
+    pub(crate) means: FloatTensor<B>,
+    /// [n, F, 3, 3].
+    pub(crate) left_rotations: FloatTensor<B>,
+}
+
+impl<B: Backend> MovingTensors<B> {
+    /// The same for a backend around or inside this one; `float` is called in the order of [`Self::into_array`].
+    pub(crate) fn map<A: Backend>(
+        self,
+        mut float: impl FnMut(FloatTensor<B>) -> FloatTensor<A>,
+    ) -> MovingTensors<A> {
+        MovingTensors {
+            poses: float(self.poses),
+            means: float(self.means),
+            left_rotations: float(self.left_rotations),
+        }
+    }
+
+    /// All tensors, in the order of the inputs of [`SplatOps::expose`].
+    pub(crate) fn into_array(self) -> [FloatTensor<B>; 3] {
+        [self.poses, self.means, self.left_rotations]
+    }
+}
+
+/// How a picture is taken: what of an exposure is no tensor.
+#[derive(Clone, Debug)]
+pub(crate) struct Taking {
+    pub(crate) camera: Camera,
+    pub(crate) sh_degree: usize,
+    pub(crate) transfer: Transfer,
 }
 
 /// A view that is projected, sorted and listed by tile, as its backend keeps it.
@@ -122,6 +164,22 @@ pub(crate) enum Blended<B: Backend> {
     Refused(SplatError),
 }
 
+/// A picture that was exposed.
+#[derive(Clone, Debug, ExtensionType)]
+pub(crate) struct Picture<B: Backend> {
+    /// [H, W, 3].
+    pub(crate) color: FloatTensor<B>,
+    /// Largest radius of every Gaussian, px, `[N]` in f32.
+    pub(crate) radii: FloatTensor<B>,
+}
+
+/// What comes out of [`SplatOps::expose`].
+#[derive(Clone, Debug, ExtensionType)]
+pub(crate) enum Collected<B: Backend> {
+    Done(#[extension_type] Picture<B>),
+    Refused(SplatError),
+}
+
 /// The ops of this crate, for the backends that are compiled in. Shapes and float types were checked before.
 #[backend_extension(
     Flex: cfg(feature = "flex"),
@@ -144,6 +202,15 @@ pub(crate) trait SplatOps: Backend {
         features: FloatTensor<Self>,
         screen_grad: FloatTensor<Self>,
     ) -> Blended<Self>;
+
+    /// Renders from every sample and averages their light. `scene` is that of the middle of the exposure, without left
+    /// rotations; `screen_grad` `[N]` (or empty) is there for its gradient.
+    fn expose(
+        #[extension_type] scene: SceneTensors<Self>,
+        #[extension_type] moving: MovingTensors<Self>,
+        screen_grad: FloatTensor<Self>,
+        taking: Taking,
+    ) -> Collected<Self>;
 }
 
 /// What the backward needs: called from the autodiff backend only, not dispatched.
@@ -165,4 +232,23 @@ pub(crate) trait SplatBackwardOps: SplatOps {
         gradient: FloatTensor<Self>,
         wanted: [bool; INPUTS],
     ) -> [Option<FloatTensor<Self>>; INPUTS];
+
+    /// What the forward pass of [`SplatOps::expose`] keeps beside its inputs.
+    type SavedExposure: Clone + Debug + Send + 'static;
+
+    /// As [`SplatOps::expose`], with what the backward needs.
+    fn expose_saved(
+        scene: SceneTensors<Self>,
+        moving: MovingTensors<Self>,
+        taking: &Taking,
+    ) -> Result<(Picture<Self>, Self::SavedExposure), SplatError>;
+
+    /// Gradients of the wanted inputs of [`SplatOps::expose`].
+    fn expose_backward(
+        saved: Self::SavedExposure,
+        scene: SceneTensors<Self>,
+        moving: MovingTensors<Self>,
+        gradient: FloatTensor<Self>,
+        wanted: [bool; EXPOSE_INPUTS],
+    ) -> [Option<FloatTensor<Self>>; EXPOSE_INPUTS];
 }

@@ -100,7 +100,7 @@ impl Rendered {
 }
 
 /// A scene for the ops.
-fn scene(splats: Splats, cam_from_world: Tensor<2>) -> SceneTensors<Dispatch> {
+pub(crate) fn scene(splats: Splats, cam_from_world: Tensor<2>) -> SceneTensors<Dispatch> {
     let none = || Tensor::zeros([0, 3, 3], (&splats.means.device(), splats.means.dtype()));
     SceneTensors {
         left_rotations: splats.left_rotations.unwrap_or_else(none).into_dispatch(),

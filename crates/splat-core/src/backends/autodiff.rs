@@ -10,7 +10,8 @@ use host::register;
 
 use crate::camera::Camera;
 use crate::ops::{
-    Blended, INPUTS, PreparedView, Projected, SceneTensors, SplatBackwardOps, SplatOps,
+    Blended, Collected, EXPOSE_INPUTS, INPUTS, MovingTensors, Picture, PreparedView, Projected,
+    SceneTensors, SplatBackwardOps, SplatOps, Taking,
 };
 
 #[derive(Debug)]
@@ -31,6 +32,27 @@ impl<B: SplatBackwardOps> Backward<B, INPUTS> for Rasterize {
         let wanted = parents.each_ref().map(Option::is_some);
         let gradients = B::rasterize_backward(saved, scene, features, gradient, wanted);
         register::<B, INPUTS>(grads, parents, gradients);
+    }
+}
+
+#[derive(Debug)]
+struct Expose;
+
+impl<B: SplatBackwardOps> Backward<B, EXPOSE_INPUTS> for Expose {
+    type State = (B::SavedExposure, SceneTensors<B>, MovingTensors<B>);
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, EXPOSE_INPUTS>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let gradient = grads.consume::<B>(&ops.node);
+        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+        let (saved, scene, moving) = ops.state;
+        let wanted = parents.each_ref().map(Option::is_some);
+        let gradients = B::expose_backward(saved, scene, moving, gradient, wanted);
+        register::<B, EXPOSE_INPUTS>(grads, parents, gradients);
     }
 }
 
@@ -72,6 +94,47 @@ impl<B: SplatBackwardOps, C: CheckpointStrategy> SplatOps for Autodiff<B, C> {
             OpsKind::UnTracked(prep) => match B::rasterize(view, scene, features, screen_grad) {
                 Blended::Done(output) => Blended::Done(prep.finish(output)),
                 Blended::Refused(error) => Blended::Refused(error),
+            },
+        }
+    }
+
+    fn expose(
+        scene: SceneTensors<Self>,
+        moving: MovingTensors<Self>,
+        screen_grad: FloatTensor<Self>,
+        taking: Taking,
+    ) -> Collected<Self> {
+        let mut nodes = Vec::with_capacity(EXPOSE_INPUTS);
+        let mut inner = |tensor: FloatTensor<Self>| {
+            let (tensor, node) = tensor.into_parts();
+            nodes.push(node);
+            tensor
+        };
+        let scene = scene.map::<B>(&mut inner);
+        let moving = moving.map::<B>(&mut inner);
+        let screen_grad = inner(screen_grad);
+        let Ok(nodes) = <[_; EXPOSE_INPUTS]>::try_from(nodes) else {
+            unreachable!("a node for every input");
+        };
+        let picture = |color, radii| Picture {
+            color,
+            radii: <Self as AutodiffBackend>::from_inner(radii),
+        };
+        match Expose.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => {
+                match B::expose_saved(scene.clone(), moving.clone(), &taking) {
+                    Ok((Picture { color, radii }, saved)) => {
+                        let color = prep.finish((saved, scene, moving), color);
+                        Collected::Done(picture(color, radii))
+                    }
+                    Err(error) => Collected::Refused(error),
+                }
+            }
+            OpsKind::UnTracked(prep) => match B::expose(scene, moving, screen_grad, taking) {
+                Collected::Done(Picture { color, radii }) => {
+                    Collected::Done(picture(prep.finish(color), radii))
+                }
+                Collected::Refused(error) => Collected::Refused(error),
             },
         }
     }

@@ -8,13 +8,13 @@ use host::{HostBackend, HostFloat, Real as _, tensor, with_float};
 
 use crate::camera::Camera;
 use crate::cpu::{
-    self, BASE_CHANNELS, BackwardOptions, Float, Forward, Projection, RasterState, SplatSlices,
-    View,
+    self, BASE_CHANNELS, BackwardOptions, ExposedState, Exposure, Float, Forward, Projection,
+    RasterState, SplatSlices, View,
 };
 use crate::error::SplatError;
 use crate::ops::{
-    Blended, HostProjection, INPUTS, POSE, PreparedView, Projected, SceneTensors, SplatBackwardOps,
-    SplatOps,
+    Blended, Collected, EXPOSE_INPUTS, HostProjection, INPUTS, MovingTensors, POSE, POSES, Picture,
+    PreparedView, Projected, SceneTensors, SplatBackwardOps, SplatOps, Taking,
 };
 
 macro_rules! host_ops {
@@ -40,6 +40,18 @@ macro_rules! host_ops {
                 match Self::rasterize_saved(view, features) {
                     Ok((output, _)) => Blended::Done(output),
                     Err(error) => Blended::Refused(error),
+                }
+            }
+
+            fn expose(
+                scene: SceneTensors<Self>,
+                moving: MovingTensors<Self>,
+                _screen_grad: FloatTensor<Self>,
+                taking: Taking,
+            ) -> Collected<Self> {
+                match Self::expose_saved(scene, moving, &taking) {
+                    Ok((picture, _)) => Collected::Done(picture),
+                    Err(error) => Collected::Refused(error),
                 }
             }
         }
@@ -86,6 +98,34 @@ macro_rules! host_ops {
                     }
                 }
             }
+
+            type SavedExposure = Arc<SavedExposure>;
+
+            fn expose_saved(
+                scene: SceneTensors<Self>,
+                moving: MovingTensors<Self>,
+                taking: &Taking,
+            ) -> Result<(Picture<Self>, Self::SavedExposure), SplatError> {
+                expose_on::<Self>(scene, moving, taking)
+            }
+
+            fn expose_backward(
+                saved: Self::SavedExposure,
+                scene: SceneTensors<Self>,
+                moving: MovingTensors<Self>,
+                gradient: FloatTensor<Self>,
+                wanted: [bool; EXPOSE_INPUTS],
+            ) -> [Option<FloatTensor<Self>>; EXPOSE_INPUTS] {
+                let SavedExposure { taking, state } = &*saved;
+                match state {
+                    HostExposure::F32(state) => {
+                        expose_backward_on((taking, state), scene, moving, gradient, wanted)
+                    }
+                    HostExposure::F64(state) => {
+                        expose_backward_on((taking, state), scene, moving, gradient, wanted)
+                    }
+                }
+            }
         }
     };
 }
@@ -99,6 +139,31 @@ host_ops!(burn::backend::NdArray);
 pub(crate) enum Saved {
     F32(Arc<Projection<f32>>, RasterState<f32>),
     F64(Arc<Projection<f64>>, RasterState<f64>),
+}
+
+/// What the backward pass needs of an exposure beside its inputs.
+#[derive(Debug)]
+pub(crate) struct SavedExposure {
+    taking: Taking,
+    state: HostExposure,
+}
+
+#[derive(Debug)]
+enum HostExposure {
+    F32(ExposedState<f32>),
+    F64(ExposedState<f64>),
+}
+
+impl From<ExposedState<f32>> for HostExposure {
+    fn from(state: ExposedState<f32>) -> Self {
+        Self::F32(state)
+    }
+}
+
+impl From<ExposedState<f64>> for HostExposure {
+    fn from(state: ExposedState<f64>) -> Self {
+        Self::F64(state)
+    }
 }
 
 impl From<Projection<f32>> for HostProjection {
@@ -208,6 +273,95 @@ fn backward_on<T: HostFloat + Float, B: HostBackend>(
         g.cam_from_world.to_vec(),
         g.features,
         g.screen,
+    ]
+    .into_iter()
+    .zip(shapes);
+    wanted.map(|is_wanted| {
+        let (values, shape) = values.next().expect("a gradient for every input");
+        is_wanted.then(|| tensor::<T, B>(values, shape, &like))
+    })
+}
+
+/// Calls `run` with an exposure on slices.
+fn with_exposure<T: HostFloat + Float, B: HostBackend, R>(
+    scene: SceneTensors<B>,
+    moving: MovingTensors<B>,
+    taking: &Taking,
+    run: impl FnOnce(&Exposure<'_, T>) -> R,
+) -> R {
+    let mut m = moving;
+    with_slices::<T, B, R>(scene, |splats, pose| {
+        run(&Exposure {
+            splats: *splats,
+            middle: &View {
+                camera: taking.camera.clone(),
+                cam_from_world: std::array::from_fn(|k| pose[k].to_f64()),
+                sh_degree: taking.sh_degree,
+            },
+            poses: &B::elements::<T>(&mut m.poses),
+            moving_means: &B::elements::<T>(&mut m.means),
+            left_rotations: &B::elements::<T>(&mut m.left_rotations),
+            transfer: taking.transfer,
+        })
+    })
+}
+
+fn expose_on<B: HostBackend>(
+    scene: SceneTensors<B>,
+    moving: MovingTensors<B>,
+    taking: &Taking,
+) -> Result<(Picture<B>, Arc<SavedExposure>), SplatError> {
+    let like = scene.means.clone();
+    let (height, width) = (taking.camera.height, taking.camera.width);
+    with_float!(like.dtype(), T => {
+        let exposed = with_exposure::<T, B, _>(scene, moving, taking, cpu::expose)?;
+        let rows = exposed.radii.len();
+        let saved = SavedExposure {
+            taking: taking.clone(),
+            state: exposed.state.into(),
+        };
+        let picture = Picture {
+            color: tensor::<T, B>(exposed.color, [height, width, 3], &like),
+            radii: tensor::<f32, B>(exposed.radii, [rows], &like),
+        };
+        Ok((picture, Arc::new(saved)))
+    })
+}
+
+fn expose_backward_on<T: HostFloat + Float, B: HostBackend>(
+    (taking, state): (&Taking, &ExposedState<T>),
+    scene: SceneTensors<B>,
+    moving: MovingTensors<B>,
+    mut gradient: FloatTensor<B>,
+    wanted: [bool; EXPOSE_INPUTS],
+) -> [Option<FloatTensor<B>>; EXPOSE_INPUTS] {
+    let like = gradient.clone();
+    let rows = scene.means.shape()[0];
+    let shapes = scene.clone().into_array().map(|tensor| tensor.shape());
+    let more = moving.clone().into_array().map(|tensor| tensor.shape());
+    let shapes = shapes.into_iter().chain(more).chain([Shape::from([rows])]);
+    let g = with_exposure::<T, B, _>(scene, moving, taking, |exposure| {
+        cpu::expose_backward(
+            exposure,
+            state,
+            &B::elements::<T>(&mut gradient),
+            wanted[POSES],
+        )
+    })
+    .expect("shapes were checked by the forward pass");
+    let middle = g.middle;
+    let mut values = [
+        middle.means,
+        middle.quats,
+        middle.left_rotations,
+        middle.log_scales,
+        middle.opacity_logits,
+        middle.sh,
+        middle.cam_from_world.to_vec(),
+        g.poses,
+        g.moving_means,
+        g.left_rotations,
+        middle.screen,
     ]
     .into_iter()
     .zip(shapes);

@@ -5,7 +5,7 @@ use super::gradients::{BackwardOptions, Gradients};
 use super::project::Projection;
 use super::project_backward::{all_finite, project_backward};
 use super::raster::RasterState;
-use super::raster_backward::partial_gradients;
+use super::raster_backward::{partial_gradients, tile_gradient};
 use super::real::Real;
 use super::types::SplatSlices;
 use crate::error::SplatError;
@@ -37,16 +37,17 @@ pub(super) fn backward<T: Real>(
     } = *forward;
     splats.check(projection.view.sh_degree)?;
     let n = projection.count;
+    let num_features = state.channels - 4;
     for (tensor, found, expected) in [
         ("opacity_logits", splats.len(), vec![n]),
-        ("features", features.len(), vec![n, state.num_features]),
+        ("features", features.len(), vec![n, num_features]),
         (
             "gradient of the output",
             v_output.len(),
             vec![
                 projection.view.camera.height,
                 projection.view.camera.width,
-                BASE_CHANNELS + state.num_features,
+                BASE_CHANNELS + num_features,
             ],
         ),
     ] {
@@ -58,11 +59,14 @@ pub(super) fn backward<T: Real>(
             });
         }
     }
-    let partial = partial_gradients(projection, features, state, v_output);
+    let camera = &projection.view.camera;
+    let partial = partial_gradients(projection, features, state, |tile, v_tile| {
+        tile_gradient(camera, state.channels, v_output, tile, v_tile);
+    });
     Ok(project_backward(
         splats,
         projection,
-        state.num_features,
+        num_features,
         &partial,
         options,
         all_finite(v_output),

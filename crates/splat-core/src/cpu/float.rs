@@ -4,6 +4,7 @@
 use std::fmt::Debug;
 
 use super::backward::{self, Forward};
+use super::exposure::{Exposed, ExposedState, Exposure, ExposureGradients};
 use super::gradients::{BackwardOptions, Gradients};
 use super::project::{self, Projection};
 use super::raster::{self, Raster};
@@ -38,6 +39,13 @@ mod sealed {
             v_output: &[Self],
             options: BackwardOptions,
         ) -> Result<Gradients<Self>, SplatError>;
+        fn expose(exposure: &Exposure<'_, Self>) -> Result<Exposed<Self>, SplatError>;
+        fn expose_backward(
+            exposure: &Exposure<'_, Self>,
+            state: &ExposedState<Self>,
+            v_color: &[Self],
+            wants_poses: bool,
+        ) -> Result<ExposureGradients<Self>, SplatError>;
     }
 }
 use sealed::Kernels;
@@ -76,6 +84,21 @@ macro_rules! float {
                 options: BackwardOptions,
             ) -> Result<Gradients<Self>, SplatError> {
                 backward::backward(forward, v_output, options)
+            }
+
+            #[inline(never)]
+            fn expose(exposure: &Exposure<'_, Self>) -> Result<Exposed<Self>, SplatError> {
+                super::expose::expose(exposure)
+            }
+
+            #[inline(never)]
+            fn expose_backward(
+                exposure: &Exposure<'_, Self>,
+                state: &ExposedState<Self>,
+                v_color: &[Self],
+                wants_poses: bool,
+            ) -> Result<ExposureGradients<Self>, SplatError> {
+                super::expose_backward::expose_backward(exposure, state, v_color, wants_poses)
             }
         }
     };
@@ -121,4 +144,32 @@ pub fn backward<T: Float>(
     options: BackwardOptions,
 ) -> Result<Gradients<T>, SplatError> {
     T::backward(forward, v_output, options)
+}
+
+/// The picture that a camera takes while its shutter is open: the mean of all samples' renders in light.
+///
+/// Colours of Gaussians are those seen from the middle of the exposure; everything else is as if each sample were
+/// rendered by itself.
+///
+/// # Errors
+/// Wrong lengths, no sample, an unusable camera, or an input that is not finite, which is named with its row.
+pub fn expose<T: Float>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, SplatError> {
+    T::expose(exposure)
+}
+
+/// Gradients of an exposure from the gradient of its picture, `v_color` [H, W, 3]. Those of the samples' poses are left out
+/// where they are not wanted.
+///
+/// A sample in which a Gaussian's gradient overflows `T` gives it none. Where `v_color` itself is not finite, the gradients
+/// are not finite either.
+///
+/// # Errors
+/// Wrong lengths.
+pub fn expose_backward<T: Float>(
+    exposure: &Exposure<'_, T>,
+    state: &ExposedState<T>,
+    v_color: &[T],
+    wants_poses: bool,
+) -> Result<ExposureGradients<T>, SplatError> {
+    T::expose_backward(exposure, state, v_color, wants_poses)
 }

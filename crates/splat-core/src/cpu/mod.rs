@@ -8,11 +8,18 @@
 
 mod backward;
 mod blocks;
+mod body;
+mod color_backward;
 mod constants;
+mod expose;
+mod expose_backward;
+mod exposure;
 mod float;
 mod geometry;
 mod gradients;
+mod matrices;
 mod packs;
+mod pieces;
 mod project;
 mod project_backward;
 mod raster;
@@ -20,15 +27,20 @@ mod raster_backward;
 mod real;
 mod sh;
 mod splat;
+mod stills;
 #[cfg(test)]
 mod tests;
 mod tiles;
+mod transfer;
 mod types;
+mod world_backward;
 
 pub use backward::Forward;
 pub use constants::{BASE_CHANNELS, LOW_PASS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, TILE};
-pub use float::{Float, backward, project, rasterize};
+pub use exposure::{Exposed, ExposedState, Exposure, ExposureGradients};
+pub use float::{Float, backward, expose, expose_backward, project, rasterize};
 pub use gradients::{BackwardOptions, Gradients};
 pub use project::Projection;
 pub use raster::{Raster, RasterState};
+pub use transfer::Transfer;
 pub use types::{SplatSlices, View};

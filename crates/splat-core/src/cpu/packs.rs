@@ -35,6 +35,18 @@ pub(super) fn array<V: Copy, const N: usize>(value: impl Fn(usize) -> V) -> [V; 
     values
 }
 
+/// As many of the values of each array as a vector has.
+#[inline(always)]
+pub(super) fn packs<T: Real, S: Simd, const N: usize>(
+    simd: S,
+    values: &[[T; WIDEST]; N],
+) -> [Pack<T, S>; N] {
+    array(
+        #[inline(always)]
+        |k| Pack::load(simd, &values[k]),
+    )
+}
+
 /// The values of each pack.
 #[inline(always)]
 pub(super) fn arrays<T: Real, S: Simd, const N: usize>(packs: [Pack<T, S>; N]) -> [[T; WIDEST]; N] {
@@ -101,6 +113,16 @@ impl<T: Real, S: Simd> Pack<T, S> {
     #[inline(always)]
     fn with(self, values: T::Vector<S>) -> Self {
         Self { values, ..self }
+    }
+
+    #[inline(always)]
+    pub(super) fn new(simd: S, values: T::Vector<S>) -> Self {
+        Self { simd, values }
+    }
+
+    #[inline(always)]
+    pub(super) fn values(self) -> T::Vector<S> {
+        self.values
     }
 
     /// The same number for all.
@@ -185,6 +207,13 @@ impl<T: Real, S: Simd> Pack<T, S> {
         self.abs().less(self.like(f64::INFINITY))
     }
 
+    /// Adds each to a total.
+    #[inline(always)]
+    pub(super) fn add_to(self, totals: &mut [T; WIDEST]) {
+        let totals = &mut T::vectors_mut::<S>(totals)[0];
+        *totals = T::vadd(self.simd, *totals, self.values);
+    }
+
     /// Sum of the values, always in the same order.
     #[inline(always)]
     pub(super) fn sum(self) -> T {
@@ -206,6 +235,15 @@ impl<T: Real, S: Simd> fmt::Debug for Where<T, S> {
 }
 
 impl<T: Real, S: Simd> Where<T, S> {
+    /// These of the values, 0 for the others.
+    #[inline(always)]
+    pub(super) fn only<const N: usize>(self, values: [Pack<T, S>; N]) -> [Pack<T, S>; N] {
+        array(
+            #[inline(always)]
+            |k| self.select(values[k], values[k].like(0.0)),
+        )
+    }
+
     /// `yes` for these, `no` for the others.
     #[inline(always)]
     pub(super) fn select(self, yes: Pack<T, S>, no: Pack<T, S>) -> Pack<T, S> {

@@ -5,8 +5,9 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use super::body::{Body, Shapes, column};
 use super::constants::MIN_ALPHA;
-use super::geometry::{Lens, Shapes, column, project_some, view_directions};
+use super::geometry::{Geometry, Lens, project_some, view_directions};
 use super::packs::{Number, Pack, WIDEST, arrays};
 use super::real::Real;
 use super::sh;
@@ -94,14 +95,25 @@ pub(super) fn project<T: Real>(
             })
         })
         .collect::<Result<_, SplatError>>()?;
-    // Depth order; the sort is stable, so that at equal depth the lower row comes first.
+    in_depth_order(view, lens, count, &chunks)
+}
+
+/// Visible Gaussians by depth, with their tile lists. `pieces` are visible ones of consecutive rows, each of at most
+/// [`CHUNK`].
+pub(super) fn in_depth_order<T: Real>(
+    view: &View,
+    lens: Lens<T>,
+    count: usize,
+    pieces: &[Vec<(Splat<T>, Extent<T>)>],
+) -> Result<Projection<T>, SplatError> {
+    // The sort is stable, so that at equal depth the lower row comes first.
     let mut order: Vec<(T, u32)> = Vec::with_capacity(count);
-    for (c, chunk) in chunks.iter().enumerate() {
-        let depths = chunk.iter().map(|(splat, _)| splat.channels[3]);
+    for (c, piece) in pieces.iter().enumerate() {
+        let depths = piece.iter().map(|(splat, _)| splat.channels[3]);
         order.extend(depths.zip((c * CHUNK) as u32..));
     }
     radsort::sort_by_key(&mut order, |(depth, _)| *depth);
-    let at = |(_, at): &(T, u32)| &chunks[*at as usize / CHUNK][*at as usize % CHUNK];
+    let at = |(_, at): &(T, u32)| &pieces[*at as usize / CHUNK][*at as usize % CHUNK];
     let sorted: Vec<Splat<T>> = order.par_iter().map(|k| at(k).0).collect();
     let extents: Vec<Extent<T>> = order.par_iter().map(|k| at(k).1).collect();
 
@@ -177,11 +189,47 @@ fn project_rows<T: Real, S: Simd>(
     visible: &mut Vec<(Splat<T>, Extent<T>)>,
 ) {
     let shapes = Shapes::new(simd, splats, rows);
-    let g = project_some(simd, lens, &shapes);
+    let body = Body::new(simd, &shapes);
+    let g = project_some(simd, lens, &body.placed);
     let opacity = column(simd, splats.opacity_logits, 1, rows, 0).map(sigmoid);
-    let min_alpha = Pack::splat(simd, T::of(MIN_ALPHA));
-    let n = |value| min_alpha.like(value);
-    let sigma_max = (opacity / min_alpha).map(T::ln).max(n(0.0));
+
+    let (direction, _) = view_directions(&lens.pose, shapes.mean);
+    let basis = arrays(sh::basis(sh_degree, direction));
+    let used = sh::num_coefficients(sh_degree) * 3;
+    let stored = splats.sh_coefficients() * 3;
+    keep_visible(
+        lens,
+        rows,
+        &g,
+        [opacity, reach(opacity)],
+        #[inline(always)]
+        |l| {
+            let sh = &splats.sh[(rows.start + l) * stored..][..used];
+            sh_color(sh, &basis, l).map(|c| c.max(T::ZERO))
+        },
+        visible,
+    );
+}
+
+/// sigma beyond which alpha is under the threshold.
+#[inline(always)]
+pub(super) fn reach<T: Real, S: Simd>(opacity: Pack<T, S>) -> Pack<T, S> {
+    let min_alpha = opacity.like(MIN_ALPHA);
+    (opacity / min_alpha).map(T::ln).max(opacity.like(0.0))
+}
+
+/// Appends those of projected Gaussians that can be seen; `alpha` is their opacity and its [`reach`], `color` that of the
+/// Gaussian in a lane.
+#[inline(always)]
+pub(super) fn keep_visible<T: Real, S: Simd>(
+    lens: &Lens<T>,
+    rows: &Range<usize>,
+    g: &Geometry<T, S>,
+    [opacity, sigma_max]: [Pack<T, S>; 2],
+    color: impl Fn(usize) -> [T; 3],
+    visible: &mut Vec<(Splat<T>, Extent<T>)>,
+) {
+    let n = |value| opacity.like(value);
     // Enlarged beyond rounding: the threshold is decided per pixel, not here.
     let reach = |variance| (n(2.0) * sigma_max * variance).sqrt() * n(1.001) + n(0.01);
     let half = [reach(g.xx), reach(g.yy)];
@@ -189,11 +237,6 @@ fn project_rows<T: Real, S: Simd>(
     let spread = n(0.5) * (g.xx - g.yy);
     let xy = g.rho * g.yy;
     let larger = middle + (spread * spread + xy * xy).sqrt();
-
-    let (direction, _) = view_directions(&lens.pose, shapes.mean);
-    let basis = arrays(sh::basis(sh_degree, direction));
-    let used = sh::num_coefficients(sh_degree) * 3;
-    let stored = splats.sh_coefficients() * 3;
 
     let seen = g.visible.to_array();
     let [opacity, sigma_max, larger] = arrays([opacity, sigma_max, larger]);
@@ -213,8 +256,7 @@ fn project_rows<T: Real, S: Simd>(
         let (Some(columns), Some(rows)) = (columns, range(1, lens.size[1])) else {
             continue;
         };
-        let sh = &splats.sh[row * stored..][..used];
-        let color = sh_color(sh, &basis, l).map(|c| c.max(T::ZERO));
+        let color = color(l);
         if !(color[0] + color[1] + color[2]).is_finite() {
             continue;
         }
@@ -245,7 +287,7 @@ pub(super) fn sigmoid<T: Real>(x: T) -> T {
 
 /// Names the first input and row in `rows` that is not finite.
 #[inline(always)]
-fn check_finite<T: Real>(
+pub(super) fn check_finite<T: Real>(
     splats: &SplatSlices<'_, T>,
     rows: Range<usize>,
 ) -> Result<(), SplatError> {

@@ -10,6 +10,7 @@ use super::constants::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, T
 use super::project::{Projection, find_not_finite};
 use super::real::Real;
 use super::splat::Splat;
+use crate::camera::Camera;
 use crate::error::SplatError;
 
 /// An alpha threshold that no alpha reaches: marks pixels that are done.
@@ -33,7 +34,8 @@ pub struct RasterState<T> {
     pub(super) last: Vec<Pixels<T>>,
     /// For every slot a bit for each block of the tile in which the Gaussian was drawn.
     pub(super) drawn: Vec<u16>,
-    pub(super) num_features: usize,
+    /// Blended channels: colour, and depth and features where they were wanted.
+    pub(super) channels: usize,
 }
 
 impl<T: Copy> Raster<T> {
@@ -58,8 +60,7 @@ impl<T: Copy> Raster<T> {
     }
 
     fn pixels(&self) -> std::slice::ChunksExact<'_, T> {
-        let channels = BASE_CHANNELS + self.state.num_features;
-        self.output.chunks_exact(channels)
+        self.output.chunks_exact(self.state.channels + 1)
     }
 }
 
@@ -81,6 +82,49 @@ pub(super) fn rasterize<T: Real>(
         find_not_finite("features", features, num_features, 0)?;
     }
     let channels = 4 + num_features;
+    let (blended, state) = blend(projection, features, channels);
+    let camera = &projection.view.camera;
+    let depth_and_more = num_features + 1;
+    let stride = BASE_CHANNELS + num_features;
+    let mut output = filled(T::ZERO, camera.num_pixels() * stride);
+    each_line(&mut output, camera, stride, |tile, block, lane, pixel| {
+        let from = &blended[(tile * BLOCKS + block) * channels..][..channels];
+        for k in 0..3 {
+            pixel[k] = from[k][lane];
+        }
+        pixel[3] = T::ONE - state.transmittance[tile][block][lane];
+        for k in 0..depth_and_more {
+            pixel[4 + k] = from[3 + k][lane];
+        }
+    });
+    Ok(Raster { output, state })
+}
+
+/// Calls `write` with every pixel of an image and where it is: tile, block, lane.
+pub(super) fn each_line<T: Real>(
+    output: &mut [T],
+    camera: &Camera,
+    stride: usize,
+    write: impl Fn(usize, usize, usize, &mut [T]) + Sync,
+) {
+    let across = camera.width.div_ceil(TILE);
+    output
+        .par_chunks_mut(camera.width * stride)
+        .enumerate()
+        .for_each(|(y, line)| {
+            for (x, pixel) in line.chunks_exact_mut(stride).enumerate() {
+                let (block, lane) = place(y % TILE, x % TILE);
+                write(y / TILE * across + x / TILE, block, lane, pixel);
+            }
+        });
+}
+
+/// Blends the first `channels` of colour, depth and features: [tiles, blocks, channels] of 16 pixels.
+pub(super) fn blend<T: Real>(
+    projection: &Projection<T>,
+    features: &[T],
+    channels: usize,
+) -> (Vec<[T; BLOCK]>, RasterState<T>) {
     let tiles = &projection.tiles;
     let num_tiles = tiles.num_tiles();
     let per_tile = BLOCKS * channels;
@@ -101,7 +145,7 @@ pub(super) fn rasterize<T: Real>(
                 arch.dispatch(BlendTile {
                     projection,
                     features,
-                    num_features,
+                    channels,
                     tile,
                     blended,
                     transmittance,
@@ -111,36 +155,13 @@ pub(super) fn rasterize<T: Real>(
                 });
             },
         );
-
-    let (width, depth_and_more) = (projection.view.camera.width, num_features + 1);
-    let stride = BASE_CHANNELS + num_features;
-    let mut output = filled(T::ZERO, projection.view.camera.num_pixels() * stride);
-    output
-        .par_chunks_mut(width * stride)
-        .enumerate()
-        .for_each(|(y, line)| {
-            for (x, pixel) in line.chunks_exact_mut(stride).enumerate() {
-                let tile = y / TILE * tiles.across + x / TILE;
-                let (block, lane) = place(y % TILE, x % TILE);
-                let from = &blended[tile * per_tile + block * channels..][..channels];
-                for k in 0..3 {
-                    pixel[k] = from[k][lane];
-                }
-                pixel[3] = T::ONE - transmittance[tile][block][lane];
-                for k in 0..depth_and_more {
-                    pixel[4 + k] = from[3 + k][lane];
-                }
-            }
-        });
-    Ok(Raster {
-        output,
-        state: RasterState {
-            transmittance,
-            last,
-            drawn,
-            num_features,
-        },
-    })
+    let state = RasterState {
+        transmittance,
+        last,
+        drawn,
+        channels,
+    };
+    (blended, state)
 }
 
 /// Gaussians that a tile loads at a time: their cache misses overlap.
@@ -165,7 +186,7 @@ pub(super) fn load_channels<T: Real, S: Simd>(
     features: &[T],
     values: &mut [T::Vector<S>],
 ) {
-    let row = splat.row as usize * (values.len() - 4);
+    let row = splat.row as usize * values.len().saturating_sub(4);
     for (k, value) in values.iter_mut().enumerate() {
         *value = T::splat(
             simd,
@@ -218,7 +239,7 @@ impl<V: Copy> Footprint<V> {
 struct BlendTile<'a, T> {
     projection: &'a Projection<T>,
     features: &'a [T],
-    num_features: usize,
+    channels: usize,
     tile: usize,
     /// [blocks, channels] of 16 pixels.
     blended: &'a mut [[T; BLOCK]],
@@ -236,10 +257,11 @@ impl<T: Real> WithSimd for BlendTile<'_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let zero = T::splat(simd, T::ZERO);
-        match self.num_features {
-            0 => self.run(simd, [zero; 4]),
-            1 => self.run(simd, [zero; 5]),
-            n => self.run(simd, vec![zero; 4 + n]),
+        match self.channels {
+            3 => self.run(simd, [zero; 3]),
+            4 => self.run(simd, [zero; 4]),
+            5 => self.run(simd, [zero; 5]),
+            n => self.run(simd, vec![zero; n]),
         }
     }
 }

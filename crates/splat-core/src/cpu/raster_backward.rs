@@ -6,27 +6,31 @@ use rayon::prelude::*;
 use host::filled;
 
 use super::blocks::{BLOCK, BLOCKS, PerChannel, centers, place};
-use super::constants::{BASE_CHANNELS, MAX_ALPHA, MIN_ALPHA, TILE};
+use super::constants::{MAX_ALPHA, MIN_ALPHA, TILE};
 use super::project::Projection;
 use super::raster::{BATCH, Footprint, RasterState, load_batch, load_channels};
 use super::real::Real;
 use super::splat::Splat;
+use super::tiles::TileLists;
+use crate::camera::Camera;
 
 /// Geometric sums in a partial gradient, before its channels. With s = ∂L/∂sigma per pixel:
 /// Σ s p, Σ s p², Σ s p dy, Σ s dy, Σ s dy², Σ s.
 pub(super) const GEOMETRIC: usize = 6;
 
-/// The partial gradient of every slot: [slots, 6 + 4 + F] row-major, the geometric sums and then the
-/// gradients of colour, depth and features.
+/// The partial gradient of every slot: [slots, 6 + C] row-major, the geometric sums and then the gradients of the C
+/// channels that were blended.
+///
+/// `v_tile` writes the gradient of a tile's output: [blocks, 1 + C] of 16 pixels, alpha first; it finds zeros.
 pub(super) fn partial_gradients<T: Real>(
     projection: &Projection<T>,
     features: &[T],
     state: &RasterState<T>,
-    v_output: &[T],
+    v_tile: impl Fn(usize, &mut [[T; BLOCK]]) + Sync,
 ) -> Vec<T> {
     let _span = tracing::trace_span!("rasterize backward").entered();
     let tiles = &projection.tiles;
-    let width = GEOMETRIC + 4 + state.num_features;
+    let width = GEOMETRIC + state.channels;
     let mut partial = filled(T::ZERO, tiles.slots.len() * width);
     let pieces = tiles.pieces_by_tile(&mut partial, width);
     let arch = Arch::new();
@@ -34,14 +38,17 @@ pub(super) fn partial_gradients<T: Real>(
         Default::default,
         |(scratch, batch), (tile, partial)| {
             if !partial.is_empty() {
+                let scratch: &mut Vec<[T; BLOCK]> = scratch;
+                scratch.clear();
+                scratch.resize(BLOCKS * (1 + state.channels), [T::ZERO; BLOCK]);
+                v_tile(tile, scratch);
                 arch.dispatch(UnblendTile {
                     projection,
                     features,
                     state,
-                    v_output,
+                    v_output: scratch,
                     tile,
                     partial,
-                    scratch,
                     batch,
                 });
             }
@@ -50,15 +57,66 @@ pub(super) fn partial_gradients<T: Real>(
     partial
 }
 
+/// The partial gradients of Gaussians, `width` values each, summed over their slots; `ranks` are their places in depth order.
+///
+/// A tight loop of its own: the cache misses on partial gradients, which lie in the order of tiles, then overlap.
+#[inline(always)]
+pub(super) fn slot_sums<T: Real>(
+    tiles: &TileLists,
+    partial: &[T],
+    width: usize,
+    ranks: &[u32],
+) -> Vec<T> {
+    let mut sums = vec![T::ZERO; width * ranks.len()];
+    for (rank, sums) in ranks.iter().zip(sums.chunks_exact_mut(width)) {
+        if *rank != u32::MAX {
+            for slot in tiles.slots_of_gaussian(*rank as usize) {
+                let partial = &partial[*slot as usize * width..][..width];
+                for (sum, value) in sums.iter_mut().zip(partial) {
+                    *sum += *value;
+                }
+            }
+        }
+    }
+    sums
+}
+
+/// The gradient of a tile's output from that of an image [H, W, 5 + F]: see [`partial_gradients`].
+pub(super) fn tile_gradient<T: Real>(
+    camera: &Camera,
+    channels: usize,
+    v_output: &[T],
+    tile: usize,
+    v_tile: &mut [[T; BLOCK]],
+) {
+    let across = camera.width.div_ceil(TILE);
+    let (left, top) = (tile % across * TILE, tile / across * TILE);
+    let stride = channels + 1;
+    for y in 0..(camera.height - top).min(TILE) {
+        for x in 0..(camera.width - left).min(TILE) {
+            let (block, lane) = place(y, x);
+            let to = &mut v_tile[block * stride..][..stride];
+            let pixel = ((top + y) * camera.width + left + x) * stride;
+            let from = &v_output[pixel..pixel + stride];
+            to[0][lane] = from[3];
+            for k in 0..3 {
+                to[1 + k][lane] = from[k];
+            }
+            for k in 4..stride {
+                to[k][lane] = from[k];
+            }
+        }
+    }
+}
+
 struct UnblendTile<'a, T> {
     projection: &'a Projection<T>,
     features: &'a [T],
     state: &'a RasterState<T>,
-    v_output: &'a [T],
+    /// Output gradient of the tile: [blocks, 1 + C] of 16 pixels.
+    v_output: &'a [[T; BLOCK]],
     tile: usize,
     partial: &'a mut [T],
-    /// Output gradient of the tile: [blocks, 5 + F] of 16 pixels; reused by the tiles of a thread.
-    scratch: &'a mut Vec<[T; BLOCK]>,
     batch: &'a mut Vec<Splat<T>>,
 }
 
@@ -68,42 +126,19 @@ impl<T: Real> WithSimd for UnblendTile<'_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let zero = T::splat(simd, T::ZERO);
-        match self.state.num_features {
-            0 => self.run(simd, [zero; 4], [zero; 4]),
-            1 => self.run(simd, [zero; 5], [zero; 5]),
-            n => self.run(simd, vec![zero; 4 + n], vec![zero; 4 + n]),
+        match self.state.channels {
+            3 => self.run(simd, [zero; 3], [zero; 3]),
+            4 => self.run(simd, [zero; 4], [zero; 4]),
+            5 => self.run(simd, [zero; 5], [zero; 5]),
+            n => self.run(simd, vec![zero; n], vec![zero; n]),
         }
     }
 }
 
 impl<T: Real> UnblendTile<'_, T> {
-    /// The tile's output gradient by blocks: alpha first, then colour, depth, features.
-    #[inline(always)]
-    fn gather(&mut self, left: usize, top: usize, channels: usize) {
-        let camera = &self.projection.view.camera;
-        let stride = BASE_CHANNELS + self.state.num_features;
-        self.scratch.clear();
-        self.scratch.resize(BLOCKS * stride, [T::ZERO; BLOCK]);
-        for y in 0..(camera.height - top).min(TILE) {
-            for x in 0..(camera.width - left).min(TILE) {
-                let (block, lane) = place(y, x);
-                let to = &mut self.scratch[block * (channels + 1)..][..channels + 1];
-                let pixel = ((top + y) * camera.width + left + x) * stride;
-                let from = &self.v_output[pixel..pixel + stride];
-                to[0][lane] = from[3];
-                for k in 0..3 {
-                    to[1 + k][lane] = from[k];
-                }
-                for k in 4..stride {
-                    to[k][lane] = from[k];
-                }
-            }
-        }
-    }
-
     #[inline(always)]
     fn run<S: Simd>(
-        mut self,
+        self,
         simd: S,
         mut values: impl PerChannel<T::Vector<S>>,
         mut sums: impl PerChannel<T::Vector<S>>,
@@ -116,7 +151,6 @@ impl<T: Real> UnblendTile<'_, T> {
         let values = values.values();
         let sums = sums.values();
         let channels = values.len();
-        self.gather(left, top, channels);
         let width = GEOMETRIC + channels;
         let [xs, ys] = centers::<T>(left, top);
         let list = &tiles.gaussians[tiles.slots_of_tile(self.tile)];
@@ -151,7 +185,7 @@ impl<T: Real> UnblendTile<'_, T> {
                     let last = T::vectors::<S>(&last[block]);
                     let transmittance = T::vectors_mut::<S>(&mut transmittance[block]);
                     let behind = T::vectors_mut::<S>(&mut behind[block]);
-                    let v_output = &self.scratch[block * (channels + 1)..][..channels + 1];
+                    let v_output = &self.v_output[block * (channels + 1)..][..channels + 1];
                     for v in 0..xs.len() {
                         let mut dot = T::vectors::<S>(&v_output[0])[v];
                         for (gradient, value) in v_output[1..].iter().zip(values.iter()) {

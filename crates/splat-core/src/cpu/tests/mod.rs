@@ -1,6 +1,7 @@
 //! Properties of the slice kernels as a whole; here the random cases that the tests share.
 
 mod contracts;
+mod exposure;
 mod gradients;
 mod image;
 
