@@ -7,12 +7,13 @@ use std::process::Command;
 use toml::{Table, Value};
 
 /// Every crate of the workspace and the crates of ours that it may depend on.
-const ARROWS: [(&str, &[&str]); 12] = [
+const ARROWS: [(&str, &[&str]); 13] = [
     ("property", &[]),
     ("host", &[]),
     ("splat-core", &["host"]),
     ("motion-bases", &["property"]),
     ("bpnet", &["host"]),
+    ("capture", &[]),
     ("unseen-views", &["splat-core", "property"]),
     ("io", &["splat-core"]),
     (
@@ -22,6 +23,7 @@ const ARROWS: [(&str, &[&str]); 12] = [
             "splat-core",
             "motion-bases",
             "bpnet",
+            "capture",
             "unseen-views",
             "io",
         ],
@@ -48,7 +50,13 @@ const ARROWS: [(&str, &[&str]); 12] = [
 const WITHOUT_BURN: [&str; 4] = ["unseen-views", "io", "property", "xtask"];
 
 /// Crates that neither touch files nor log nor look at a clock.
-const SILENT: [&str; 4] = ["splat-core", "motion-bases", "bpnet", "unseen-views"];
+const SILENT: [&str; 5] = [
+    "splat-core",
+    "motion-bases",
+    "bpnet",
+    "capture",
+    "unseen-views",
+];
 
 fn root() -> PathBuf {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -1,0 +1,73 @@
+//! Rigid motions from six numbers each.
+
+use burn::tensor::{Tensor, TensorData};
+
+/// Rotations [n, 3, 3] of rotation vectors [n, 3] (Rodrigues); the derivative at 0 is finite.
+pub(crate) fn rotations(vectors: Tensor<2>) -> Tensor<3> {
+    let [n, _] = vectors.dims();
+    let options = (&vectors.device(), vectors.dtype());
+    // w -> [w]x, row-major.
+    let generators = [
+        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ];
+    let cross = vectors
+        .clone()
+        .matmul(Tensor::from_data(generators, options))
+        .reshape([n, 3, 3]);
+    // The floor keeps the root's derivative finite, and changes no angle that rounding can tell from 0.
+    let angle = (vectors.square().sum_dim(1) + 1e-24)
+        .sqrt()
+        .reshape([n, 1, 1]);
+    let sinc = |x: Tensor<3>| x.clone().sin() / x;
+    // (1 - cos a) / a², without its cancellation.
+    let half = sinc(angle.clone() * 0.5).square() * 0.5;
+    let squared = cross.clone().matmul(cross.clone());
+    let identity: Vec<f64> = (0..9 * n)
+        .map(|k| f64::from(u8::from(k % 9 % 4 == 0)))
+        .collect();
+    Tensor::from_data(TensorData::new(identity, [n, 3, 3]), options)
+        + cross * sinc(angle)
+        + squared * half
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::tensor::{DType, Device};
+
+    fn of(vectors: Vec<f64>, dtype: DType) -> Vec<f64> {
+        let n = vectors.len() / 3;
+        let data = TensorData::new(vectors, [n, 3]);
+        let rotations = rotations(Tensor::from_data(data, (&Device::flex(), dtype)));
+        rotations.try_into_vec_as::<f64>().expect("f64")
+    }
+
+    #[test]
+    fn they_are_rotations_by_the_angle_around_the_axis() {
+        for angle in [0.0, 1e-9, 1e-4, 0.3, 3.0] {
+            let axis = [0.48, -0.6, 0.64];
+            let r = of(axis.map(|a| a * angle).to_vec(), DType::F64);
+            for i in 0..3 {
+                for j in 0..3 {
+                    let dot: f64 = (0..3).map(|k| r[3 * i + k] * r[3 * j + k]).sum();
+                    let expected = f64::from(u8::from(i == j));
+                    assert!((dot - expected).abs() < 1e-14, "{angle}: rows {i} {j}");
+                }
+                let turned: f64 = (0..3).map(|k| r[3 * i + k] * axis[k]).sum();
+                assert!((turned - axis[i]).abs() < 1e-14, "{angle}: the axis stays");
+            }
+            assert!(
+                (r[0] + r[4] + r[8] - 1.0 - 2.0 * f64::cos(angle)).abs() < 1e-14,
+                "{angle}"
+            );
+            let single = of(axis.map(|a| a * angle).to_vec(), DType::F32);
+            let error = r
+                .iter()
+                .zip(&single)
+                .fold(0.0_f64, |m, (a, b)| m.max((a - b).abs()));
+            assert!(error < 3e-7, "f32, {angle}: {error:e}");
+        }
+    }
+}
