@@ -1,7 +1,8 @@
-//! `kernels.png`: blurry frame, sharp render, intensity map, and the kernels at a few pixels.
+//! `kernels.png`: blurry frame, sharp render, and how it was blurred: an intensity map and the kernels at a few pixels, or
+//! the camera's path and its discs.
 
 use io::Image;
-use trainer::{KernelView, TrainingView, ViewBlur};
+use trainer::{KernelView, TakenView, TrainingView, ViewBlur};
 
 /// Kernels are shown for so many pixels of a frame.
 const COLUMNS: usize = 8;
@@ -19,6 +20,7 @@ pub(crate) fn frames(count: usize) -> Vec<usize> {
 pub(crate) fn row(blurry: Option<&Image>, view: &TrainingView) -> Option<Image> {
     match view.blur.as_ref()? {
         ViewBlur::Kernels(kernels) => Some(kernel_row(blurry, &view.sharp, kernels)),
+        ViewBlur::Camera(camera) => Some(camera_row(blurry, &view.sharp, camera)),
     }
 }
 
@@ -62,6 +64,42 @@ fn kernel_row(blurry: Option<&Image>, sharp: &Image, view: &KernelView) -> Image
                     );
                 }
             }
+        }
+    }
+    sheet
+}
+
+/// Blurry frame, sharp render, and what points at a few depths become in the picture, many times enlarged: their discs,
+/// drawn along the camera's path.
+fn camera_row(blurry: Option<&Image>, sharp: &Image, view: &TakenView) -> Image {
+    let (width, height) = (sharp.width, sharp.height);
+    let pictures: Vec<&Image> = blurry.into_iter().chain([sharp]).collect();
+    let depths = view.spots.len();
+    let side = height / depths.max(1);
+    let mut sheet = canvas(pictures.len() * (width + GAP) + side, height);
+    for (i, picture) in pictures.iter().enumerate() {
+        paste(&mut sheet, i * (width + GAP), 0, picture);
+    }
+    let left = pictures.len() * (width + GAP);
+    let reach = view.reach_px().max(1.0);
+    for (row, spot) in view.spots.iter().enumerate() {
+        let mut counts = vec![0.0_f32; side * side];
+        for place in &spot.places {
+            let [x, y] = place.map(|v| (0.5 + 0.45 * v / reach) * side as f64);
+            let (x, y) = (x as usize, y as usize);
+            if x < side && y < side {
+                counts[y * side + x] += 1.0;
+            }
+        }
+        let most = counts.iter().fold(1.0_f32, |a, &b| a.max(b));
+        for (i, count) in counts.iter().enumerate() {
+            let value = (count / most).sqrt();
+            put(
+                &mut sheet,
+                left + i % side,
+                row * side + i / side,
+                [value; 3],
+            );
         }
     }
     sheet

@@ -32,9 +32,9 @@ pub(crate) struct TrainArguments {
     /// Make pictures smaller by this factor.
     #[arg(long, value_name = "F")]
     downscale: Option<usize>,
-    /// Whether blur is modelled [default: on].
-    #[arg(long, value_name = "on|off")]
-    blur: Option<Switch>,
+    /// What explains blur [default: on, which is kernels].
+    #[arg(long, value_name = "on|off|kernels|camera")]
+    blur: Option<Blur>,
     /// Take the training frames from this folder of the scene.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
@@ -65,9 +65,27 @@ pub(crate) struct TrainArguments {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Switch {
+enum Blur {
+    /// The default model.
     On,
+    /// Nothing: frames are taken to be sharp.
     Off,
+    /// A kernel for every pixel, as in the paper.
+    Kernels,
+    /// The camera's path and lens.
+    Camera,
+}
+
+impl Blur {
+    /// The value of `blur.model`, where it names one.
+    fn model(self) -> Option<Value> {
+        let name = match self {
+            Self::On | Self::Off => return None,
+            Self::Kernels => "kernels",
+            Self::Camera => "camera",
+        };
+        Some(Value::String(name.to_owned()))
+    }
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -206,8 +224,9 @@ impl TrainArguments {
             ),
             (
                 "blur.enabled",
-                self.blur.map(|b| Value::Boolean(b == Switch::On)),
+                self.blur.map(|b| Value::Boolean(b != Blur::Off)),
             ),
+            ("blur.model", self.blur.and_then(Blur::model)),
         ];
         for (key, value) in flags {
             if let Some(value) = value {

@@ -66,7 +66,7 @@ impl MotionBases {
                 translations: Tensor::zeros([0, 3], options),
             };
         }
-        self.motions_at(coefficients, &[time])
+        self.rigid_at(coefficients, &[time], 0.0)
     }
 
     /// Means [F, 3] of the canonical frame at several times, each [F, 3]: cheaper than one
@@ -87,7 +87,7 @@ impl MotionBases {
         }
         let repeated = means.clone().reshape([rows, 1, 3]).expand([rows, count, 3]);
         let moved = self
-            .motions_at(coefficients, times)
+            .rigid_at(coefficients, times, 0.0)
             .transform_means(&repeated.reshape([rows * count, 3]))
             .reshape([rows, count, 3]);
         (0..count)
@@ -95,8 +95,34 @@ impl MotionBases {
             .collect()
     }
 
-    /// The motions of F Gaussians at T times, as those of F T: all times of a Gaussian in a row. F is not 0.
-    fn motions_at(&self, coefficients: &Tensor<2>, times: &[f32]) -> Motion {
+    /// Means [T, F, 3] of the canonical frame and rotations [T, F, 3, 3] at T times within an exposure: those of the first
+    /// and the last frame go on for up to half a frame beyond the ends.
+    ///
+    /// # Panics
+    /// As [`Self::motion_at`], and for no Gaussian or no time.
+    #[must_use]
+    pub fn exposed_at(
+        &self,
+        coefficients: &Tensor<2>,
+        means: &Tensor<2>,
+        times: &[f32],
+    ) -> (Tensor<3>, Tensor<4>) {
+        let ([rows, _], count) = (means.dims(), times.len());
+        let repeated = means.clone().reshape([rows, 1, 3]).expand([rows, count, 3]);
+        let motion = self.rigid_at(coefficients, times, 0.5);
+        let moved = motion.transform_means(&repeated.reshape([rows * count, 3]));
+        (
+            moved.reshape([rows, count, 3]).swap_dims(0, 1),
+            motion
+                .rotations
+                .reshape([rows, count, 3, 3])
+                .swap_dims(0, 1),
+        )
+    }
+
+    /// The motions of F Gaussians at T times, as those of F T: all times of a Gaussian in a row. F is not 0. Times are
+    /// clamped to `beyond` frames outside of the ends.
+    fn rigid_at(&self, coefficients: &Tensor<2>, times: &[f32], beyond: f64) -> Motion {
         let [rows, bases] = coefficients.dims();
         assert!(
             bases == self.num_bases(),
@@ -108,10 +134,15 @@ impl MotionBases {
             let frame = |t: usize| frames.clone().slice_dim(1, width * t..width * (t + 1));
             let times = times.iter().map(|&time| {
                 assert!(!time.is_nan(), "motion was asked for at a time that is NaN");
-                let time = f64::from(time).clamp(0.0, last as f64);
-                let (floor, ceil) = (time.floor() as usize, time.ceil() as usize);
-                if floor == ceil {
+                let beyond = if last == 0 { 0.0 } else { beyond };
+                let time = f64::from(time).clamp(-beyond, last as f64 + beyond);
+                let inside = time.clamp(0.0, last as f64);
+                let floor = (inside.floor() as usize).min(last.saturating_sub(1));
+                let ceil = (floor + 1).min(last);
+                if time == floor as f64 || floor == ceil {
                     frame(floor)
+                } else if time == ceil as f64 {
+                    frame(ceil)
                 } else {
                     // Blending over bases and interpolation over time are linear: their order does not matter.
                     let part = time - floor as f64;

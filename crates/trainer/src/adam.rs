@@ -150,6 +150,19 @@ impl AdamState {
         }
     }
 
+    /// Forgets the moments of some rows. The steps stay.
+    pub fn zero_rows(&mut self, rows: &[usize]) {
+        let [count, _] = self.moment1.dims();
+        let mut kept = vec![1.0_f32; count];
+        for &row in rows {
+            kept[row] = 0.0;
+        }
+        let options = (&self.moment1.device(), self.moment1.dtype());
+        let kept = Tensor::<2>::from_data(TensorData::new(kept, [count, 1]), options);
+        self.moment1 = self.moment1.clone() * kept.clone();
+        self.moment2 = self.moment2.clone() * kept;
+    }
+
     /// Forgets the moments, as after an opacity reset. The steps stay.
     pub fn zero_moments(&mut self) {
         self.moment1 = self.moment1.zeros_like();

@@ -3,15 +3,17 @@
 //! A variant owns everything about itself: its parameters, the settings it was made from, its moments in the run and
 //! its terms of the loss. [`BlurModel::show`] is the one way in, for training, scores, gradient checks and pictures alike.
 
+pub(crate) mod camera;
 mod gauge;
 pub(crate) mod kernels;
 
+pub use camera::{CameraBlur, CameraFigures, CameraFrame, Spot, TakenView};
 pub use kernels::{KernelFigures, KernelView, Kernels};
 
 use crate::TrainError;
 use crate::look::{self, Look, render_sharp};
 use crate::parameter::{Group, Parameter};
-use crate::settings::Settings;
+use crate::settings::{BlurKind, Settings};
 use crate::views::Views;
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor};
@@ -26,13 +28,17 @@ pub enum BlurModel {
     Off,
     /// The paper's: BP-Net predicts a kernel and an intensity for every pixel.
     Kernels(Box<Kernels>),
+    /// Ours: what the camera did while it took the frame.
+    Camera(Box<CameraBlur>),
 }
 
 /// What a variant keeps of a view that it showed.
 #[derive(Clone, Debug)]
 pub(crate) enum Trace {
     /// Kernels and what they made of the sharp render.
-    Kernels(KernelTrace),
+    Kernels(Box<KernelTrace>),
+    /// What the camera did.
+    Camera(camera::CameraTrace),
 }
 
 /// What a model shows of a view.
@@ -49,8 +55,16 @@ impl BlurModel {
         if !settings.blur.enabled {
             return Ok(Self::Off);
         }
-        let kernels = Kernels::new(settings, scene_size, views, options)?;
-        Ok(Self::Kernels(Box::new(kernels)))
+        Ok(match settings.blur.model {
+            BlurKind::Kernels => {
+                let kernels = Kernels::new(settings, scene_size, views, options)?;
+                Self::Kernels(Box::new(kernels))
+            }
+            BlurKind::Camera => {
+                let camera = CameraBlur::new(settings, scene_size, views, options);
+                Self::Camera(Box::new(camera))
+            }
+        })
     }
 
     /// The iterations after which something about it changes, its start first; none where blur is not modelled.
@@ -58,6 +72,7 @@ impl BlurModel {
         match self {
             Self::Off => Vec::new(),
             Self::Kernels(kernels) => kernels.moments().to_vec(),
+            Self::Camera(camera) => camera.moments(),
         }
     }
 
@@ -66,6 +81,7 @@ impl BlurModel {
         match self {
             Self::Off => false,
             Self::Kernels(kernels) => kernels.is_on(it),
+            Self::Camera(camera) => camera.is_on(it),
         }
     }
 
@@ -82,22 +98,34 @@ impl BlurModel {
             Self::Off => Ok(Shown::sharp(render_sharp(world, look)?)),
             Self::Kernels(kernels) => {
                 let fixed = fixed.map(|fixed| {
-                    let trace = fixed.trace.as_ref().map(|Trace::Kernels(trace)| trace);
+                    let trace = fixed.trace.as_ref().and_then(Trace::kernels);
                     (&fixed.rendered, trace)
                 });
-                Ok(kernels.show(world, look, fixed)?.map(Trace::Kernels))
+                let shown = kernels.show(world, look, fixed)?;
+                Ok(shown.map(|trace| Trace::Kernels(Box::new(trace))))
             }
+            Self::Camera(camera) => Ok(camera.show(world, look)?.map(Trace::Camera)),
         }
     }
 
     /// Keeps what later iterations want to know of a frame that was shown and learned from.
     pub(crate) fn learned(&mut self, frame: usize, trace: Trace) {
-        match trace {
-            Trace::Kernels(trace) => {
-                if let Self::Kernels(kernels) = self {
-                    kernels.learned(frame, trace);
-                }
-            }
+        match (self, trace) {
+            (Self::Kernels(kernels), Trace::Kernels(trace)) => kernels.learned(frame, *trace),
+            (Self::Off | Self::Kernels(_) | Self::Camera(_), _) => {}
+        }
+    }
+
+    /// What it does once an iteration's parameters are stepped; `looks` are those at all training frames. Returns the
+    /// parameters with rows that are others now, and these rows.
+    pub(crate) fn stepped(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+    ) -> Result<Vec<(Parameter, Vec<usize>)>, TrainError> {
+        match self {
+            Self::Off | Self::Kernels(_) => Ok(Vec::new()),
+            Self::Camera(camera) => camera.stepped(world, looks),
         }
     }
 
@@ -115,13 +143,14 @@ impl BlurModel {
                     )
                 })
                 .collect(),
+            Self::Camera(camera) => camera.parameters_mut(),
         }
     }
 
     /// What a checkpoint holds of it beside its parameters, by name.
     pub(crate) fn tables(&self, device: &Device) -> Vec<(&'static str, Tensor<2>)> {
         match self {
-            Self::Off => Vec::new(),
+            Self::Off | Self::Camera(_) => Vec::new(),
             Self::Kernels(kernels) => vec![kernels.table(device)],
         }
     }
@@ -132,24 +161,36 @@ impl BlurModel {
         mut read: impl FnMut(&str, [usize; 2]) -> Result<Tensor<2>, E>,
     ) -> Result<(), E> {
         match self {
-            Self::Off => Ok(()),
+            Self::Off | Self::Camera(_) => Ok(()),
             Self::Kernels(kernels) => kernels.restore(&mut read),
         }
     }
 }
 
+impl Trace {
+    fn kernels(&self) -> Option<&KernelTrace> {
+        match self {
+            Self::Kernels(trace) => Some(trace),
+            Self::Camera(_) => None,
+        }
+    }
+}
+
 /// Figures of a blur model over all training frames, as `metrics.json` holds them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum BlurFigures {
     /// Of [`BlurModel::Kernels`].
     Kernels(KernelFigures),
+    /// Of [`BlurModel::Camera`].
+    Camera(CameraFigures),
 }
 
 impl fmt::Display for BlurFigures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Kernels(figures) => figures.fmt(f),
+            Self::Camera(figures) => figures.fmt(f),
         }
     }
 }
@@ -159,12 +200,15 @@ impl fmt::Display for BlurFigures {
 pub enum ViewBlur {
     /// By a kernel per pixel.
     Kernels(KernelView),
+    /// By what the camera did.
+    Camera(TakenView),
 }
 
 impl From<Trace> for ViewBlur {
     fn from(trace: Trace) -> Self {
         match trace {
             Trace::Kernels(trace) => Self::Kernels(trace.view()),
+            Trace::Camera(trace) => Self::Camera(trace.view),
         }
     }
 }
@@ -173,17 +217,20 @@ impl From<Trace> for ViewBlur {
 #[derive(Debug, Default)]
 pub(crate) struct FigureSums {
     kernels: KernelSums,
+    camera: Vec<TakenView>,
 }
 
 impl FigureSums {
     pub(crate) fn add(&mut self, view: &ViewBlur) {
         match view {
             ViewBlur::Kernels(view) => self.kernels.add(view),
+            ViewBlur::Camera(view) => self.camera.push(view.clone()),
         }
     }
 
-    /// The means; `None` where no view was blurred.
-    pub(crate) fn means(&self) -> Option<BlurFigures> {
-        self.kernels.means().map(BlurFigures::Kernels)
+    /// Of all views; `None` where no view was blurred.
+    pub(crate) fn figures(self) -> Option<BlurFigures> {
+        let kernels = self.kernels.means().map(BlurFigures::Kernels);
+        kernels.or_else(|| CameraFigures::of(&self.camera).map(BlurFigures::Camera))
     }
 }

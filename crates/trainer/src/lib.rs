@@ -64,7 +64,10 @@ mod unseen;
 mod views;
 mod world;
 
-pub use blur::{BlurFigures, BlurModel, KernelFigures, KernelView, Kernels, ViewBlur};
+pub use blur::{
+    BlurFigures, BlurModel, CameraBlur, CameraFigures, CameraFrame, KernelFigures, KernelView,
+    Kernels, Spot, TakenView, ViewBlur,
+};
 pub use burn::tensor::Device;
 pub use checkpoint::FILE_NAME as CHECKPOINT_FILE;
 pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError};

@@ -2,7 +2,7 @@
 
 use crate::TrainError;
 use crate::views::{CameraView, ViewRef};
-use crate::world::World;
+use crate::world::{Posed, World};
 use burn::tensor::Tensor;
 use splat_core::{Extra, Rendered, Viewpoint, render};
 use tracing::trace_span;
@@ -19,6 +19,18 @@ pub(crate) struct Look<'a> {
     pub(crate) view: Option<&'a ViewRef<'a>>,
     /// Receives the norms of the screen-space gradient, `[N]`.
     pub(crate) screen_grad: Option<Tensor<1>>,
+}
+
+impl Look<'_> {
+    /// Its viewpoint as the renderer takes it, with the pose that was given.
+    pub(crate) fn viewpoint_of(&self, posed: &Posed) -> Viewpoint {
+        let CameraView {
+            camera,
+            cam_from_world,
+            ..
+        } = self.viewpoint;
+        Viewpoint::new(camera, cam_from_world, self.sh_degree, &posed.splats)
+    }
 }
 
 /// What a model shows of a view; `T` is what the blur model wants to keep of it.
@@ -91,15 +103,19 @@ impl Terms {
 /// The scene as a camera without blur sees it: posed at the look's time, rendered.
 pub(crate) fn render_sharp(world: &World, look: &Look<'_>) -> Result<Rendered, TrainError> {
     let posed = trace_span!("pose").in_scope(|| world.pose(look.viewpoint.time));
-    let CameraView {
-        camera,
-        cam_from_world,
-        ..
-    } = look.viewpoint;
-    let viewpoint = Viewpoint::new(camera, cam_from_world, look.sh_degree, &posed.splats);
+    let viewpoint = look.viewpoint_of(&posed);
+    render_posed(posed, &viewpoint, look.screen_grad.clone())
+}
+
+/// Posed Gaussians, rendered with the flag of what moves.
+pub(crate) fn render_posed(
+    posed: Posed,
+    viewpoint: &Viewpoint,
+    screen_grad: Option<Tensor<1>>,
+) -> Result<Rendered, TrainError> {
     let extra = Extra {
         features: posed.dynamic,
-        screen_grad: look.screen_grad.clone(),
+        screen_grad,
     };
-    Ok(trace_span!("render").in_scope(|| render(posed.splats, &viewpoint, extra))?)
+    Ok(trace_span!("render").in_scope(|| render(posed.splats, viewpoint, extra))?)
 }

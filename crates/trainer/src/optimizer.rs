@@ -37,6 +37,13 @@ impl Optimizer {
         }
     }
 
+    /// Forgets the moments of some rows of a parameter; their step counts stay.
+    pub(crate) fn zero_rows(&mut self, parameter: &Parameter, rows: &[usize]) {
+        if let Some(state) = self.states.get_mut(&parameter.name) {
+            state.zero_rows(rows);
+        }
+    }
+
     /// Follows an edit of a parameter's rows.
     pub(crate) fn edit(&mut self, parameter: &Parameter, edit: &RowEdit) {
         if let Some(state) = self.states.get_mut(&parameter.name) {
@@ -60,6 +67,7 @@ pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize
     let size = plan.survey.scene_size;
     let decay = |share: f64, length: usize| schedule.decay(it, share, length);
     let motion = decay(r.motion_final_share, REFERENCE_ITERATIONS);
+    let camera = decay(r.camera_final_share, REFERENCE_ITERATIONS);
     LearningRate::Uniform(match group {
         Group::Means => {
             let share = r.means_final / r.means;
@@ -81,5 +89,17 @@ pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize
             let boost = schedule.short_run_boost(r.short_run_boost);
             r.blur * boost * decay(share, length)
         }
+        Group::CameraPath => return rigid(r.camera_path * camera, columns),
+        Group::CameraOffset => return rigid(r.camera_offset * camera, columns),
+        Group::CameraFocus => r.camera_focus * camera,
+        Group::CameraAperture => r.camera_aperture * camera,
+        Group::CameraShutter => r.camera_shutter * camera,
     })
+}
+
+/// A rate for rotation vectors, and a fifth of it for the translations (in units of S) beside them: in a narrow view the two
+/// are nearly the same thing, and run off against each other at equal rates.
+fn rigid(rate: f64, columns: usize) -> LearningRate {
+    let rates = [rate, rate, rate, 0.2 * rate, 0.2 * rate, 0.2 * rate];
+    LearningRate::PerColumn(rates.repeat(columns / 6))
 }

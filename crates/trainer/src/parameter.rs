@@ -21,6 +21,16 @@ pub enum Group {
     MotionCoefficients,
     /// Weights, biases and embeddings of BP-Net.
     BlurNet,
+    /// Paths of the camera while the shutter is open.
+    CameraPath,
+    /// Offsets from the given poses.
+    CameraOffset,
+    /// Disparities of focus.
+    CameraFocus,
+    /// Aperture of the lens.
+    CameraAperture,
+    /// Time for which the shutter is open.
+    CameraShutter,
 }
 
 /// What a row of a parameter belongs to.
@@ -61,8 +71,13 @@ impl Parameter {
                 Rows::Gaussians
             }
             Group::MotionCoefficients => Rows::DynamicGaussians,
+            Group::CameraPath | Group::CameraOffset | Group::CameraFocus => Rows::Frames,
             // BP-Net's embeddings have a row per frame, but the paper steps them as one tensor.
-            Group::BasisRotations | Group::BasisTranslations | Group::BlurNet => Rows::Whole,
+            Group::BasisRotations
+            | Group::BasisTranslations
+            | Group::BlurNet
+            | Group::CameraAperture
+            | Group::CameraShutter => Rows::Whole,
         }
     }
 }

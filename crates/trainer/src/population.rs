@@ -69,7 +69,12 @@ impl Trainer {
                 Group::MotionCoefficients
                 | Group::BasisRotations
                 | Group::BasisTranslations
-                | Group::BlurNet => return gather_rows(tensor, edit),
+                | Group::BlurNet
+                | Group::CameraPath
+                | Group::CameraOffset
+                | Group::CameraFocus
+                | Group::CameraAperture
+                | Group::CameraShutter => return gather_rows(tensor, edit),
             };
             insert_rows(tensor, dynamic, rows)
         });

@@ -141,7 +141,7 @@ impl Run {
                 fixed: model.num_gaussians() - model.num_dynamic(),
                 dynamic: model.num_dynamic(),
             },
-            blur: figures.means(),
+            blur: figures.figures(),
         })
     }
 }

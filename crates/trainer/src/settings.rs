@@ -21,6 +21,8 @@ pub struct Settings {
     pub motion: MotionSettings,
     /// The blur model.
     pub blur: BlurSettings,
+    /// The blur model `camera`.
+    pub camera: CameraSettings,
     /// Unseen views.
     pub unseen: UnseenSettings,
     /// Weights of the losses.
@@ -39,6 +41,7 @@ impl Default for Settings {
             gaussians: GaussianSettings::default(),
             motion: MotionSettings::default(),
             blur: BlurSettings::default(),
+            camera: CameraSettings::default(),
             unseen: UnseenSettings::default(),
             loss: LossSettings::default(),
             learning_rates: LearningRates::default(),
@@ -146,12 +149,25 @@ impl Default for MotionSettings {
     }
 }
 
-/// The blur model (BP-Net).
+/// What explains blur.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BlurKind {
+    /// The paper's: BP-Net predicts a kernel and an intensity for every pixel.
+    #[default]
+    Kernels,
+    /// The camera itself: its path while the shutter is open, and its lens.
+    Camera,
+}
+
+/// The blur model; all but the first two are those of BP-Net.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BlurSettings {
     /// Whether blur is modelled.
     pub enabled: bool,
+    /// By what.
+    pub model: BlurKind,
     /// Side K of the blur kernels, odd, 1 to 15.
     pub kernel_size: usize,
     /// Blur starts after this iteration (of 40,000), never before `min(250, n / 4)`.
@@ -174,6 +190,7 @@ impl Default for BlurSettings {
     fn default() -> Self {
         Self {
             enabled: true,
+            model: BlurKind::Kernels,
             kernel_size: 9,
             from: 3500,
             hold: 200,
@@ -182,6 +199,71 @@ impl Default for BlurSettings {
             downscale: 1,
             mild_start: true,
             gauge_cells: [4, 8],
+        }
+    }
+}
+
+/// The camera as a blur model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraSettings {
+    /// Whether the camera moves while its shutter is open.
+    pub path: bool,
+    /// Whether it has a lens with an aperture and a focus.
+    pub lens: bool,
+    /// Whether the given poses are refined.
+    pub offsets: bool,
+    /// Degree of the paths, 1 to 3.
+    pub path_degree: usize,
+    /// A frame is averaged from at most so many renders, 2 to 64.
+    pub samples: usize,
+    /// Distance of the samples from each other in the image, px.
+    pub spacing_px: f64,
+    /// How a picture's values stand for light.
+    pub transfer: TransferKind,
+    /// Length of every path at the start, in pixels of a picture 256 wide.
+    pub start_px: f64,
+    /// Radius of the lens at the start, in units of S.
+    pub aperture: f64,
+    /// Time for which the shutter is open at the start, in units of frames.
+    pub shutter: f64,
+}
+
+impl Default for CameraSettings {
+    fn default() -> Self {
+        Self {
+            path: true,
+            lens: true,
+            offsets: true,
+            path_degree: 2,
+            samples: 8,
+            spacing_px: 0.75,
+            transfer: TransferKind::Srgb,
+            start_px: 2.0,
+            aperture: 0.01,
+            shutter: 0.6,
+        }
+    }
+}
+
+/// How a picture's values stand for light.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TransferKind {
+    /// sRGB's curve.
+    Srgb,
+    /// A power.
+    Power(f64),
+    /// They are light.
+    Linear,
+}
+
+impl From<TransferKind> for splat_core::Transfer {
+    fn from(kind: TransferKind) -> Self {
+        match kind {
+            TransferKind::Srgb => Self::Srgb,
+            TransferKind::Power(gamma) => Self::Power(gamma),
+            TransferKind::Linear => Self::Linear,
         }
     }
 }
@@ -304,6 +386,18 @@ pub struct LearningRates {
     /// In short runs the blur model learns faster by `min(this, s^-1/2)`, s = iterations / 40,000. Motion does not: what it
     /// learns faster than the blur model it takes from it, as per-frame shifts in the place of kernels.
     pub short_run_boost: f64,
+    /// The camera's paths: rotation vectors, rad. Translations, in units of S, learn at a fifth of it.
+    pub camera_path: f64,
+    /// Offsets from the given poses, likewise.
+    pub camera_offset: f64,
+    /// Disparities of focus (S / distance).
+    pub camera_focus: f64,
+    /// Radius of the lens, in units of S.
+    pub camera_aperture: f64,
+    /// Time for which the shutter is open, in units of frames.
+    pub camera_shutter: f64,
+    /// All of these at the end, as a share of the start.
+    pub camera_final_share: f64,
 }
 
 impl Default for LearningRates {
@@ -325,6 +419,12 @@ impl Default for LearningRates {
             blur_decay: 35_000,
             blur_short_run_share: 0.1,
             short_run_boost: 4.0,
+            camera_path: 3e-3,
+            camera_offset: 6e-4,
+            camera_focus: 2e-2,
+            camera_aperture: 1e-3,
+            camera_shutter: 5e-3,
+            camera_final_share: 0.05,
         }
     }
 }
@@ -401,6 +501,17 @@ impl Settings {
             "blur.gauge_cells",
             "two numbers, 1 to 64",
         )?;
+        let c = &self.camera;
+        check(
+            (1..=3).contains(&c.path_degree),
+            "camera.path_degree",
+            "1 to 3",
+        )?;
+        check((2..=64).contains(&c.samples), "camera.samples", "2 to 64")?;
+        if let TransferKind::Power(gamma) = c.transfer {
+            let key = "camera.transfer.power";
+            check((1.0..=4.0).contains(&gamma), key, "1 to 4")?;
+        }
         check(self.motion.num_bases > 0, "motion.num_bases", "positive")?;
         check(self.unseen.every > 0, "unseen.every", "positive")?;
         check(self.loss.ssim <= 1.0, "loss.ssim", "0 to 1")?;
@@ -424,6 +535,8 @@ impl Settings {
                 "learning_rates.blur_short_run_share",
             ),
             (l.short_run_boost, "learning_rates.short_run_boost"),
+            (c.spacing_px, "camera.spacing_px"),
+            (l.camera_final_share, "learning_rates.camera_final_share"),
         ];
         for (value, key) in positive {
             check(value.is_finite() && value > 0.0, key, "a positive number")?;
@@ -452,6 +565,14 @@ impl Settings {
             (l.coefficients, "learning_rates.coefficients"),
             (l.bases, "learning_rates.bases"),
             (l.blur, "learning_rates.blur"),
+            (c.start_px, "camera.start_px"),
+            (c.aperture, "camera.aperture"),
+            (c.shutter, "camera.shutter"),
+            (l.camera_path, "learning_rates.camera_path"),
+            (l.camera_offset, "learning_rates.camera_offset"),
+            (l.camera_focus, "learning_rates.camera_focus"),
+            (l.camera_aperture, "learning_rates.camera_aperture"),
+            (l.camera_shutter, "learning_rates.camera_shutter"),
         ];
         for (value, key) in not_negative {
             check(

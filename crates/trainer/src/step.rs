@@ -99,6 +99,7 @@ impl Trainer {
             state.model.blur.learned(frame, trace);
         }
         self.step_parameters(it, frame, gradients);
+        self.change_blur(it)?;
         self.change_gaussians(it);
 
         let progress = &mut self.run.state.progress;
@@ -131,6 +132,21 @@ impl Trainer {
                 state.optimizer.step(&parameter, tensor, grad, &step);
             }
         }
+    }
+
+    /// Lets the blur model do what it does between iterations.
+    fn change_blur(&mut self, it: usize) -> Result<(), TrainError> {
+        let Self { run, data } = self;
+        let mut blur = run.state.model.blur.clone();
+        let training = |frame| ViewRef::training(&run.plan.views, &data.scene, frame);
+        let views: Vec<_> = (0..run.plan.views.train.len()).map(training).collect();
+        let looks: Vec<_> = views.iter().map(|view| run.look_at(view, it)).collect();
+        let changed = blur.stepped(&run.state.model.world, &looks)?;
+        run.state.model.blur = blur;
+        for (parameter, rows) in changed {
+            run.state.optimizer.zero_rows(&parameter, &rows);
+        }
+        Ok(())
     }
 
     /// Says where a number that is not finite arose: goes back through each loss term by itself. Costs as many backward passes
