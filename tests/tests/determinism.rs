@@ -5,16 +5,20 @@ use limpid_tests::{tiny, values};
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::process::Command;
+use trainer::settings::BlurKind;
 use trainer::{BlurModel, Trainer};
 
-/// Tells a process of this test that it is one of the runs, and at which iteration it saves and loads (0: never).
-const RUN: &str = "LIMPID_DETERMINISM_RELOAD_AT";
+/// Tells a process of this test that it is one of the runs: with which blur model, and at which iteration it saves and loads
+/// (0: never).
+const RUN: &str = "LIMPID_DETERMINISM_RUN";
 const ITERATIONS: usize = 200;
 
 /// Trains with every part of the method on, and writes down the losses and parameters bit by bit.
-fn train(reload_at: usize) -> String {
+fn train(blur: BlurKind, reload_at: usize) -> String {
     let device = Device::flex();
-    let mut trainer = Trainer::new(tiny::scene(), tiny::settings(), &device).expect("a trainer");
+    let mut settings = tiny::settings();
+    settings.blur.model = blur;
+    let mut trainer = Trainer::new(tiny::scene(), settings, &device).expect("a trainer");
     let (mut unseen, mut sizes) = (0, Vec::new());
     let mut text = String::new();
     for iteration in 1..=ITERATIONS {
@@ -51,12 +55,17 @@ fn train(reload_at: usize) -> String {
 
 #[test]
 fn processes_threads_and_reloading_change_no_bit() {
-    if let Ok(reload_at) = std::env::var(RUN) {
-        let reload_at = reload_at.parse().expect("a number");
-        writeln!(std::io::stdout(), "<run>{}</run>", train(reload_at)).expect("a line to stdout");
+    if let Ok(run) = std::env::var(RUN) {
+        let (blur, reload_at) = run.split_once(' ').expect("a model and a number");
+        let blur = match blur {
+            "kernels" => BlurKind::Kernels,
+            _ => BlurKind::Camera,
+        };
+        let text = train(blur, reload_at.parse().expect("a number"));
+        writeln!(std::io::stdout(), "<run>{text}</run>").expect("a line to stdout");
         return;
     }
-    let run = |threads: &str, reload_at: &str| -> String {
+    let run = |blur: &str, threads: &str, reload_at: &str| -> String {
         let this = std::env::current_exe().expect("this test's program");
         let output = Command::new(this)
             .args([
@@ -64,7 +73,7 @@ fn processes_threads_and_reloading_change_no_bit() {
                 "processes_threads_and_reloading_change_no_bit",
                 "--nocapture",
             ])
-            .env(RUN, reload_at)
+            .env(RUN, format!("{blur} {reload_at}"))
             .env("RAYON_NUM_THREADS", threads)
             .output()
             .expect("a second process");
@@ -77,7 +86,10 @@ fn processes_threads_and_reloading_change_no_bit() {
             .0
             .to_owned()
     };
-    let one = run("1", "0");
-    assert_eq!(one, run("2", "0"), "one and two threads");
-    assert_eq!(one, run("2", "110"), "saved and loaded in the middle");
+    for blur in ["kernels", "camera"] {
+        let one = run(blur, "1", "0");
+        assert_eq!(one, run(blur, "2", "0"), "{blur}: one and two threads");
+        let saved = run(blur, "2", "110");
+        assert_eq!(one, saved, "{blur}: saved and loaded in the middle");
+    }
 }

@@ -4,6 +4,7 @@ use burn::tensor::{DType, Tensor};
 use limpid_tests::{
     GradLimits, devices, directional_report, noise, tensor as tensor_of, tiny, values,
 };
+use trainer::settings::BlurKind;
 use trainer::{Model, Trainer};
 
 /// A model with its parameters in f64, moved by `step` where the name is `moved`.
@@ -39,6 +40,19 @@ fn with_two_bases(model: &Model) -> Model {
 
 #[test]
 fn every_parameter_group_has_the_gradient_of_the_whole_loss() {
+    check(
+        BlurKind::Kernels,
+        &["downsample", "gauge", "intensity", "kernel_center"],
+    );
+}
+
+#[test]
+fn so_has_every_parameter_group_of_the_camera() {
+    check(BlurKind::Camera, &[]);
+}
+
+/// The gradients of a whole loss with a blur model; `own_terms` are the model's.
+fn check(model: BlurKind, own_terms: &[&str]) {
     let mut scene = tiny::scene();
     // Without relief the estimator's scale and shift are not fitted: the fit is data to the gradient, but not to a difference.
     for frame in &mut scene.frames {
@@ -46,6 +60,7 @@ fn every_parameter_group_has_the_gradient_of_the_whole_loss() {
         depth.values.fill(tiny::WALL as f32);
     }
     let mut settings = tiny::settings();
+    settings.blur.model = model;
     settings.loss.downsample = 0.1;
     settings.gaussians.initial_static_per_pixel = 0.3;
     for (name, device) in devices() {
@@ -66,22 +81,17 @@ fn every_parameter_group_has_the_gradient_of_the_whole_loss() {
         let terms = loss(&start);
         let mut found: Vec<&str> = terms.iter().map(|(term, _)| *term).collect();
         found.sort_unstable();
-        assert_eq!(
-            found,
-            [
-                "along_ray",
-                "bases_acceleration",
-                "depth",
-                "downsample",
-                "gauge",
-                "image",
-                "intensity",
-                "kernel_center",
-                "mask",
-                "means_acceleration"
-            ],
-            "{name}"
-        );
+        let shared = [
+            "along_ray",
+            "bases_acceleration",
+            "depth",
+            "image",
+            "mask",
+            "means_acceleration",
+        ];
+        let mut expected = [&shared, own_terms].concat();
+        expected.sort_unstable();
+        assert_eq!(found, expected, "{name}");
         let sum = |terms: Vec<(&str, Tensor<1>)>| {
             let values = terms.into_iter().map(|(_, value)| value).collect();
             Tensor::cat(values, 0).sum()
@@ -105,6 +115,9 @@ fn every_parameter_group_has_the_gradient_of_the_whole_loss() {
                 bias: 2e-3,
                 step: if late.iter().any(|name| group.starts_with(name)) {
                     1e-6
+                } else if group.starts_with("camera.") {
+                    // Moves every Gaussian in the picture at once.
+                    1e-8
                 } else {
                     1e-7
                 },

@@ -17,6 +17,19 @@ pub struct MotionBases {
     pub num_frames: usize,
 }
 
+/// A moment between two frames.
+struct Moment {
+    floor: usize,
+    /// How far it lies on the way to the next frame; `None` where it is the frame's own.
+    part: Option<Part>,
+}
+
+enum Part {
+    Number(f64),
+    /// [1, 1].
+    Tensor(Tensor<2>),
+}
+
 /// A rigid motion per Gaussian, from the canonical frame to some time.
 #[derive(Clone, Debug)]
 pub struct Motion {
@@ -66,7 +79,7 @@ impl MotionBases {
                 translations: Tensor::zeros([0, 3], options),
             };
         }
-        self.rigid_at(coefficients, &[time], 0.0)
+        self.rigid_at(coefficients, &[self.moment(time)])
     }
 
     /// Means [F, 3] of the canonical frame at several times, each [F, 3]: cheaper than one
@@ -86,8 +99,9 @@ impl MotionBases {
             return vec![means.clone(); count];
         }
         let repeated = means.clone().reshape([rows, 1, 3]).expand([rows, count, 3]);
+        let moments: Vec<_> = times.iter().map(|time| self.moment(*time)).collect();
         let moved = self
-            .rigid_at(coefficients, times, 0.0)
+            .rigid_at(coefficients, &moments)
             .transform_means(&repeated.reshape([rows * count, 3]))
             .reshape([rows, count, 3]);
         (0..count)
@@ -95,8 +109,8 @@ impl MotionBases {
             .collect()
     }
 
-    /// Means [T, F, 3] of the canonical frame and rotations [T, F, 3, 3] at T times within an exposure: those of the first
-    /// and the last frame go on for up to half a frame beyond the ends.
+    /// Means [T, F, 3] of the canonical frame and rotations [T, F, 3, 3] at times within an exposure, `[T]`, with the times'
+    /// gradient: the motion of the first and the last frame goes on for up to half a frame beyond the ends.
     ///
     /// # Panics
     /// As [`Self::motion_at`], and for no Gaussian or no time.
@@ -105,11 +119,24 @@ impl MotionBases {
         &self,
         coefficients: &Tensor<2>,
         means: &Tensor<2>,
-        times: &[f32],
+        times: &Tensor<1>,
     ) -> (Tensor<3>, Tensor<4>) {
-        let ([rows, _], count) = (means.dims(), times.len());
+        let ([rows, _], [count]) = (means.dims(), times.dims());
+        let last = self.num_frames.saturating_sub(1);
+        let times = times.clone().clamp(-0.5, last as f64 + 0.5);
+        let seen = times.clone().detach().try_into_vec_as::<f32>();
+        let moments = seen.expect("a float tensor can be read back").into_iter();
+        let moments = moments.enumerate().map(|(i, time)| {
+            assert!(!time.is_nan(), "motion was asked for at a time that is NaN");
+            let floor = (time.max(0.0).floor() as usize).min(last.saturating_sub(1));
+            let part = times.clone().slice_dim(0, i..i + 1) - floor as f64;
+            Moment {
+                floor,
+                part: (last > 0).then(|| Part::Tensor(part.reshape([1, 1]))),
+            }
+        });
+        let motion = self.rigid_at(coefficients, &moments.collect::<Vec<_>>());
         let repeated = means.clone().reshape([rows, 1, 3]).expand([rows, count, 3]);
-        let motion = self.rigid_at(coefficients, times, 0.5);
         let moved = motion.transform_means(&repeated.reshape([rows * count, 3]));
         (
             moved.reshape([rows, count, 3]).swap_dims(0, 1),
@@ -120,38 +147,45 @@ impl MotionBases {
         )
     }
 
-    /// The motions of F Gaussians at T times, as those of F T: all times of a Gaussian in a row. F is not 0. Times are
-    /// clamped to `beyond` frames outside of the ends.
-    fn rigid_at(&self, coefficients: &Tensor<2>, times: &[f32], beyond: f64) -> Motion {
+    /// Where a time lies, clamped to the frames.
+    fn moment(&self, time: f32) -> Moment {
+        assert!(!time.is_nan(), "motion was asked for at a time that is NaN");
+        let last = self.num_frames.saturating_sub(1);
+        let time = f64::from(time).clamp(0.0, last as f64);
+        let part = time - time.floor();
+        Moment {
+            floor: time.floor() as usize,
+            part: (part > 0.0).then_some(Part::Number(part)),
+        }
+    }
+
+    /// The motions of F Gaussians at T moments, as those of F T: all moments of a Gaussian in a row. F is not 0.
+    fn rigid_at(&self, coefficients: &Tensor<2>, moments: &[Moment]) -> Motion {
         let [rows, bases] = coefficients.dims();
         assert!(
             bases == self.num_bases(),
             "coefficients are [{rows}, {bases}], but there are {} motion bases",
             self.num_bases()
         );
-        let last = self.num_frames.saturating_sub(1);
         let at = |frames: &Tensor<2>, width: usize| {
             let frame = |t: usize| frames.clone().slice_dim(1, width * t..width * (t + 1));
-            let times = times.iter().map(|&time| {
-                assert!(!time.is_nan(), "motion was asked for at a time that is NaN");
-                let beyond = if last == 0 { 0.0 } else { beyond };
-                let time = f64::from(time).clamp(-beyond, last as f64 + beyond);
-                let inside = time.clamp(0.0, last as f64);
-                let floor = (inside.floor() as usize).min(last.saturating_sub(1));
-                let ceil = (floor + 1).min(last);
-                if time == floor as f64 || floor == ceil {
-                    frame(floor)
-                } else if time == ceil as f64 {
-                    frame(ceil)
-                } else {
-                    // Blending over bases and interpolation over time are linear: their order does not matter.
-                    let part = time - floor as f64;
-                    frame(floor) * (1.0 - part) + frame(ceil) * part
+            // Blending over bases and interpolation over time are linear: their order does not matter.
+            let moments = moments.iter().map(|moment| {
+                let floor = moment.floor;
+                match &moment.part {
+                    None => frame(floor),
+                    Some(Part::Number(part)) => {
+                        frame(floor) * (1.0 - part) + frame(floor + 1) * *part
+                    }
+                    Some(Part::Tensor(part)) => {
+                        let step = frame(floor + 1) - frame(floor);
+                        frame(floor) + step * part.clone()
+                    }
                 }
             });
-            Tensor::cat(times.collect(), 1) // [B, T * width]
+            Tensor::cat(moments.collect(), 1) // [B, T * width]
         };
-        let rows = rows * times.len();
+        let rows = rows * moments.len();
         let weights = softmax(coefficients.clone(), 1); // [F, B]
         // Clamped here already, so that a product cannot overflow.
         let six = weights

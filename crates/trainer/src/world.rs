@@ -115,10 +115,10 @@ impl World {
             .map(|m| m.bases.motion_at(&m.coefficients, time))
     }
 
-    /// Means [T, F, 3] and rotations [T, F, 3, 3] of the dynamic Gaussians at T times within an exposure; `None` where
+    /// Means [T, F, 3] and rotations [T, F, 3, 3] of the dynamic Gaussians at times within an exposure, `[T]`; `None` where
     /// nothing moves.
     #[must_use]
-    pub fn exposed_at(&self, times: &[f32]) -> Option<(Tensor<3>, Tensor<4>)> {
+    pub fn exposed_at(&self, times: &Tensor<1>) -> Option<(Tensor<3>, Tensor<4>)> {
         let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0)?;
         let means = self.dynamic_means();
         let MotionModel {

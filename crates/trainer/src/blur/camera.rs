@@ -23,6 +23,8 @@ const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 const JITTER: [f64; 2] = [0.618_033_988_75, 0.754_877_666_2];
 /// Disparities (S / depth) between which most of a scene lies; discs are measured there.
 const DISPARITIES: [f64; 2] = [0.6, 1.6];
+/// A frame that is blurred at all is averaged from so many renders or more.
+const LEAST_SAMPLES: usize = 3;
 /// Places of a spot that are drawn.
 const SPOT_SAMPLES: usize = 2000;
 /// Shares of a run after which every frame tries other paths.
@@ -255,24 +257,12 @@ impl CameraBlur {
         }
     }
 
-    /// Where moving Gaussians are at the samples' moments. The shutter's gradient is that along their velocity.
+    /// Where moving Gaussians are at the samples' moments.
     fn movers(&self, world: &World, time: f32, taken: &[Sample]) -> Option<Movers> {
-        if !self.settings.path || world.num_dynamic == 0 {
-            return None;
-        }
-        let shutter = host(self.capture.shutter.clone().detach())[0];
-        let times: Vec<f32> = taken
-            .iter()
-            .map(|sample| time + sample.moment as f32 * shutter)
-            .collect();
+        let times = self.capture.moments(taken).add_scalar(time);
         let (means, left_rotations) = world.exposed_at(&times)?;
-        let still = world.detached();
-        let (ends, _) = still.exposed_at(&[time - 0.25, time + 0.25])?;
-        let velocity = (ends.clone().narrow(0, 1, 1) - ends.narrow(0, 0, 1)).mul_scalar(2.0);
-        let moments = self.capture.moments(taken);
-        let later = (moments.clone() - moments.detach()).reshape([taken.len(), 1, 1]);
         Some(Movers {
-            means: means + velocity * later,
+            means,
             left_rotations,
         })
     }
@@ -285,7 +275,6 @@ impl CameraBlur {
             .map(|d| self.capture.disc_px(frame, focal, d))
             .into_iter()
             .fold(0.0, f64::max);
-        let limit = self.settings.samples;
         let row = |tensor: &Tensor<2>, row| host(tensor.clone().detach().narrow(0, row, 1));
         let offset = row(&self.capture.offsets, frame);
         let [x, y] = [offset[1] + offset[3], offset[4] - offset[0]].map(f64::from);
@@ -295,12 +284,26 @@ impl CameraBlur {
                 focus: self.scene_size / f64::from(row(&self.capture.focus, frame)[0]),
                 disc_px,
                 offset_px: focal * x.hypot(y),
-                samples: samples_for(blur_px, disc_px, self.settings.spacing_px, limit),
+                samples: self.samples(blur_px, disc_px),
             },
             shutter: row(&self.capture.shutter, 0)[0].into(),
             aperture: self.scene_size * f64::from(row(&self.capture.aperture, 0)[0].abs()),
             spots: Vec::new(),
         }
+    }
+
+    /// How many renders a frame with such a blur is averaged from. A blur that is there at all has a gradient: with a single
+    /// render, one that became small could never grow again.
+    fn samples(&self, blur_px: f64, disc_px: f64) -> usize {
+        if blur_px + disc_px == 0.0 {
+            return 1;
+        }
+        let CameraSettings {
+            spacing_px,
+            samples,
+            ..
+        } = self.settings;
+        samples_for(blur_px, disc_px, spacing_px, samples).max(LEAST_SAMPLES)
     }
 
     /// The same with its spots, for pictures.
@@ -372,29 +375,38 @@ impl CameraBlur {
         for (frame, look) in looks.iter().enumerate() {
             now.push(trial.error(&world, look, frame)?);
         }
-        let mut sorted = now.clone();
-        sorted.sort_by(f64::total_cmp);
-        let median = sorted[sorted.len() / 2];
+        let lengths: Vec<f64> = (0..looks.len())
+            .map(|frame| self.capture.path_px(frame, self.focal[frame]))
+            .collect();
+        let (usual, usual_px) = (median(&now), median(&lengths));
+        let last = self.moments.trials.last() == Some(&it);
         let mut changed = Vec::new();
         for (frame, look) in looks.iter().enumerate() {
             let own = paths[frame * width..(frame + 1) * width].to_vec();
             let mut candidates = vec![reversed(&own)];
-            // 2.5 dB under the others: in a wrong direction, which it does not leave by itself.
-            if now[frame] > 1.8 * median {
-                candidates.extend(self.others(&own, frame));
+            // 2.5 dB under the others, or hardly moved: it does not leave a wrong direction by itself.
+            if now[frame] > 1.8 * usual || lengths[frame] < 0.4 * usual_px {
+                candidates.extend(self.others(own.len(), usual_px / self.focal[frame]));
             }
-            let mut best = now[frame];
+            let mut best = (now[frame], own.clone());
             for candidate in candidates {
                 trial.set_path(frame, &candidate);
                 let error = trial.error(&world, look, frame)?;
-                if error < best {
-                    best = error;
-                    paths[frame * width..(frame + 1) * width].copy_from_slice(&candidate);
+                if error < best.0 {
+                    best = (error, candidate);
                 }
             }
-            let kept = paths[frame * width..(frame + 1) * width].to_vec();
-            trial.set_path(frame, &kept);
-            if kept != own {
+            if last && lengths[frame] < 1.0 {
+                // What does not pay is left out for good.
+                let still = vec![0.0; own.len()];
+                trial.set_path(frame, &still);
+                if trial.error(&world, look, frame)? <= 1.01 * best.0 {
+                    best.1 = still;
+                }
+            }
+            trial.set_path(frame, &best.1);
+            if best.1 != own {
+                paths[frame * width..(frame + 1) * width].copy_from_slice(&best.1);
                 changed.push(frame);
             }
         }
@@ -403,16 +415,15 @@ impl CameraBlur {
         Ok(changed)
     }
 
-    /// Straight paths in eight directions, of the frame's own length and of twice that.
-    fn others(&self, own: &[f32], frame: usize) -> Vec<Vec<f32>> {
-        let length = (self.capture.path_px(frame, self.focal[frame]) / self.focal[frame]) as f32;
-        let directions = (0..8).map(|k| std::f32::consts::TAU * k as f32 / 8.0);
+    /// Straight paths in eight directions, half as long as `length` (rad), as long, and twice as long.
+    fn others(&self, width: usize, length: f64) -> Vec<Vec<f32>> {
+        let directions = (0..8).map(|k| std::f64::consts::TAU * f64::from(k) / 8.0);
         directions
             .flat_map(|angle| {
-                [1.0, 2.0].map(|times| {
-                    let mut path = vec![0.0; own.len()];
-                    path[0] = times * length * angle.cos();
-                    path[1] = times * length * angle.sin();
+                [0.5, 1.0, 2.0].map(|times| {
+                    let mut path = vec![0.0; width];
+                    path[0] = (times * length * angle.cos()) as f32;
+                    path[1] = (times * length * angle.sin()) as f32;
                     path
                 })
             })
@@ -487,6 +498,12 @@ impl CameraBlur {
         }
         all
     }
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
 }
 
 /// The same path the other way round.
