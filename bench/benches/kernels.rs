@@ -8,7 +8,10 @@ use divan::Bencher;
 use glam::DAffine3;
 use limpid_bench::workload::{Blur, Workload};
 use splat_core::Gaussians;
-use splat_core::cpu::{BackwardOptions, Forward, View, backward, project, rasterize};
+use splat_core::cpu::{
+    BackwardOptions, Exposure, Forward, Transfer, View, backward, expose, expose_backward, project,
+    rasterize,
+};
 use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 use trainer::losses::ssim;
 
@@ -104,6 +107,33 @@ mod splatting {
                 state: &raster.state,
             };
             backward(&forward, &v_output, BackwardOptions::default())
+        });
+    }
+
+    /// Eight samples along a path of 3 px.
+    #[divan::bench(args = SIZES)]
+    fn expose_and_back(bencher: Bencher<'_, '_>, size: (usize, usize, usize)) {
+        let (gaussians, view) = workload(size);
+        let splats = gaussians.slices();
+        let poses: Vec<f32> = (0..8)
+            .flat_map(|i| {
+                let mut pose = view.cam_from_world.map(|v| v as f32);
+                pose[2] += (i as f32 - 3.5) * 3.0 / 8.0 / view.camera.fx as f32;
+                pose
+            })
+            .collect();
+        let exposure = Exposure {
+            splats,
+            middle: &view,
+            poses: &poses,
+            moving_means: &[],
+            left_rotations: &[],
+            transfer: Transfer::Srgb,
+        };
+        let v_color: Vec<f32> = gradient(size)[..size.0 * size.1 * 3].to_vec();
+        bencher.bench_local(|| {
+            let exposed = expose(black_box(&exposure)).expect("good Gaussians");
+            expose_backward(&exposure, &exposed.state, &v_color, true)
         });
     }
 }
