@@ -27,7 +27,7 @@ struct Moment {
 enum Part {
     Number(f64),
     /// [1, 1].
-    Tensor(Tensor<2>),
+    Tensor(Box<Tensor<2>>),
 }
 
 /// A rigid motion per Gaussian, from the canonical frame to some time.
@@ -132,7 +132,7 @@ impl MotionBases {
             let part = times.clone().slice_dim(0, i..i + 1) - floor as f64;
             Moment {
                 floor,
-                part: (last > 0).then(|| Part::Tensor(part.reshape([1, 1]))),
+                part: (last > 0).then(|| Part::Tensor(Box::new(part.reshape([1, 1])))),
             }
         });
         let motion = self.rigid_at(coefficients, &moments.collect::<Vec<_>>());
@@ -179,7 +179,7 @@ impl MotionBases {
                     }
                     Some(Part::Tensor(part)) => {
                         let step = frame(floor + 1) - frame(floor);
-                        frame(floor) + step * part.clone()
+                        frame(floor) + step * *part.clone()
                     }
                 }
             });

@@ -221,10 +221,15 @@ pub(crate) struct FigureSums {
 }
 
 impl FigureSums {
-    pub(crate) fn add(&mut self, view: &ViewBlur) {
+    /// Adds a view whose picture, as the model has it, agrees with the frame to `psnr` dB.
+    pub(crate) fn add(&mut self, view: &ViewBlur, psnr: f64) {
         match view {
             ViewBlur::Kernels(view) => self.kernels.add(view),
-            ViewBlur::Camera(view) => self.camera.push(view.clone()),
+            ViewBlur::Camera(view) => {
+                let mut view = view.clone();
+                view.frame.psnr = Some(psnr);
+                self.camera.push(view);
+            }
         }
     }
 

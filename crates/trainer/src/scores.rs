@@ -123,7 +123,8 @@ impl Run {
             for (index, viewpoint) in self.views().train.iter().enumerate() {
                 let view = self.render_training_view(index)?;
                 if let Some(blur) = &view.blur {
-                    figures.add(blur);
+                    let frame = quantized(&scene.frames[index].view.image);
+                    figures.add(blur, psnr(&quantized(&view.seen), &frame));
                 }
                 if let Some(sharp) = &truth.sharp {
                     let regions = Regions::default();

@@ -1,0 +1,75 @@
+//! The account of a frame: from the model's tensors to figures and spots.
+
+use super::{CameraBlur, CameraFrame, Spot, TakenView};
+use crate::tensors::host;
+use burn::tensor::Tensor;
+use capture::samples;
+
+/// Disparities (S / depth) between which most of a scene lies; discs are measured there.
+const DISPARITIES: [f64; 2] = [0.6, 1.6];
+/// Places of a spot that are drawn.
+const SPOT_SAMPLES: usize = 2000;
+
+impl CameraBlur {
+    /// What the camera does in a frame.
+    pub(super) fn view(&self, frame: usize) -> TakenView {
+        let focal = self.focal[frame];
+        let blur_px = self.capture.path_px(frame, focal);
+        let disc_px = DISPARITIES
+            .map(|d| self.capture.disc_px(frame, focal, d))
+            .into_iter()
+            .fold(0.0, f64::max);
+        let row = |tensor: &Tensor<2>, row| host(tensor.clone().detach().narrow(0, row, 1));
+        let offset = row(&self.capture.offsets, frame);
+        let [x, y] = [offset[1] + offset[3], offset[4] - offset[0]].map(f64::from);
+        TakenView {
+            frame: CameraFrame {
+                blur_px,
+                focus: self.scene_size / f64::from(row(&self.capture.focus, frame)[0]),
+                disc_px,
+                offset_px: focal * x.hypot(y),
+                samples: self.samples(blur_px, disc_px),
+                psnr: None,
+            },
+            shutter: row(&self.capture.shutter, 0)[0].into(),
+            aperture: self.scene_size * f64::from(row(&self.capture.aperture, 0)[0].abs()),
+            spots: Vec::new(),
+        }
+    }
+
+    /// The same with its spots, for pictures.
+    pub(super) fn with_spots(&self, frame: usize, view: TakenView) -> TakenView {
+        let like = &self.capture.paths;
+        let options = (&like.device(), like.dtype());
+        let identity = [
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+        ];
+        let given = Tensor::<2>::from_data(identity, options);
+        let taken = samples(SPOT_SAMPLES, [0.5, 0.0]);
+        let size = self.scene_size;
+        let poses = host(self.capture.poses(frame, &given, &taken, size).detach());
+        let middle = host(self.capture.middle(frame, &given, size).detach());
+        let focal = self.focal[frame];
+        let seen = |pose: &[f32], depth: f64| {
+            let at = |i: usize| f64::from(pose[4 * i + 2]) * depth + f64::from(pose[4 * i + 3]);
+            [0, 1].map(|axis| focal * at(axis) / at(2))
+        };
+        let spot = |disparity: f64| {
+            let depth = size / disparity;
+            let [x, y] = seen(&middle, depth);
+            let places = poses.chunks_exact(12).map(|pose| {
+                let place = seen(pose, depth);
+                [place[0] - x, place[1] - y]
+            });
+            Spot {
+                depth,
+                places: places.collect(),
+            }
+        };
+        let [far, near] = DISPARITIES;
+        let spots = [near, 1.0, far].map(spot).to_vec();
+        TakenView { spots, ..view }
+    }
+}
