@@ -435,3 +435,65 @@ fn rest_has_no_loss_and_no_gradient() {
         }
     }
 }
+
+#[test]
+fn an_exposure_sees_the_motion_at_its_moments_and_beyond_the_ends() {
+    for (name, device) in devices() {
+        let bases = two_bases(&device, DType::F64);
+        let logits = tensor(&[1.0, 0.0, -2.0, 0.5], [2, 2], &device, DType::F64);
+        let means = tensor(&noise(6, 5), [2, 3], &device, DType::F64);
+        let times = [0.25, 1.0, 1.75, -0.25, 2.25, 9.0];
+        let at = Tensor::<1>::from_data(times, (&device, DType::F64));
+        let (moved, rotations) = bases.exposed_at(&logits, &means, &at);
+        assert_eq!(moved.dims(), [6, 2, 3], "{name}");
+        for (i, time) in times.into_iter().enumerate().take(3) {
+            let motion = bases.motion_at(&logits, time as f32);
+            let (found, turned) = (
+                moved.clone().narrow(0, i, 1),
+                rotations.clone().narrow(0, i, 1),
+            );
+            let expected = values(motion.transform_means(&means));
+            assert_close(&values(found), &expected, 1e-12, name);
+            assert_close(&values(turned), &values(motion.rotations), 1e-12, name);
+        }
+        // Translations alone go on as they came: the second basis, whose rotation stays.
+        let one = tensor(&[-60.0, 60.0], [1, 2], &device, DType::F64);
+        let origin = tensor(&[0.0; 3], [1, 3], &device, DType::F64);
+        let (moved, _) = bases.exposed_at(&one, &origin, &at);
+        let moved = values(moved);
+        assert_close(
+            &moved[9..12],
+            &[-0.75, 0.0, -0.25],
+            1e-12,
+            "before the first frame",
+        );
+        assert_close(
+            &moved[12..15],
+            &[-0.75, 10.0, -0.25],
+            1e-12,
+            "after the last frame",
+        );
+        assert_close(
+            &moved[15..18],
+            &[-1.5, 12.0, -0.5],
+            1e-12,
+            "no more than half a frame",
+        );
+    }
+}
+
+#[test]
+fn an_exposures_moments_have_gradients() {
+    for (_, device) in devices() {
+        let means = noise(6, 5);
+        let inputs = [("times", [1, 4], vec![0.3, 0.8, 1.4, 2.2])];
+        check_gradients(&device, &inputs, &[], GradLimits::default(), |t| {
+            let device = t[0].device();
+            let bases = two_bases(&device, DType::F64);
+            let logits = tensor(&[1.0, 0.0, -2.0, 0.5], [2, 2], &device, DType::F64);
+            let means = tensor(&means, [2, 3], &device, DType::F64);
+            let (moved, rotations) = bases.exposed_at(&logits, &means, &t[0].clone().reshape([4]));
+            moved.sin().sum() + rotations.narrow(2, 0, 1).sum()
+        });
+    }
+}

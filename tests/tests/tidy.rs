@@ -36,6 +36,7 @@ const ARROWS: [(&str, &[&str]); 13] = [
             "splat-core",
             "motion-bases",
             "bpnet",
+            "capture",
             "unseen-views",
             "io",
             "property",

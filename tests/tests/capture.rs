@@ -1,0 +1,136 @@
+//! The camera as a blur model: what it did is found back from one picture that was taken so.
+
+use burn::tensor::{DType, Device, Tensor};
+use capture::{Capture, samples};
+use limpid_tests::{devices, noise, tensor, values};
+use splat_core::{Camera, Exposure, Splats, Transfer, Viewpoint, expose};
+use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
+
+const SIZE: f64 = 4.0;
+const FOCAL: f64 = 60.0;
+
+/// A textured wall at depth 4, and things before it at 2.5.
+fn splats(device: &Device) -> Splats {
+    let (across, down) = (28, 20);
+    let count = across * down + 80;
+    let shift = noise(2 * count, 1);
+    let mut means = Vec::new();
+    for k in 0..across * down {
+        let (x, y) = ((k % across) as f64, (k / across) as f64);
+        let depth = 4.0;
+        means.extend([
+            (x - 13.5 + 0.4 * shift[2 * k]) / 28.0 * 4.4,
+            (y - 9.5 + 0.4 * shift[2 * k + 1]) / 20.0 * 3.2,
+            depth,
+        ]);
+    }
+    for k in across * down..count {
+        means.extend([1.0 * shift[2 * k], 0.7 * shift[2 * k + 1], 2.5]);
+    }
+    let sh = noise(3 * count, 2)
+        .iter()
+        .map(|v| 1.6 * v)
+        .collect::<Vec<_>>();
+    let f32s = |values: &[f64], shape| tensor(values, shape, device, DType::F32);
+    Splats {
+        means: f32s(&means, [count, 3]),
+        quats: f32s(&[1.0, 0.0, 0.0, 0.0].repeat(count), [count, 4]),
+        left_rotations: None,
+        log_scales: f32s(&vec![0.05_f64.ln(); 3 * count], [count, 3]),
+        opacity_logits: f32s(&vec![3.0; count], [count, 1]),
+        sh: f32s(&sh, [count, 3]),
+    }
+}
+
+/// The picture that a camera takes at the origin.
+fn picture(capture: &Capture, splats: &Splats, count: usize, jitter: [f64; 2]) -> Tensor<3> {
+    let given = [
+        [1.0, 0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0],
+    ];
+    let options = (&splats.means.device(), DType::F32);
+    let given = Tensor::<2>::from_data(given, options);
+    let view = Viewpoint {
+        camera: Camera::pinhole([56, 40], [FOCAL; 2], [28.0, 20.0]),
+        cam_from_world: capture.middle(0, &given, SIZE),
+        sh_degree: 0,
+    };
+    let exposure = Exposure {
+        poses: capture.poses(0, &given, &samples(count, jitter), SIZE),
+        movers: None,
+        transfer: Transfer::Srgb,
+    };
+    expose(splats.clone(), &view, exposure, None)
+        .expect("a picture")
+        .color
+}
+
+#[test]
+fn path_focus_and_aperture_are_found_back() {
+    for (name, device) in devices() {
+        let device = device.autodiff();
+        let f32s = |values: &[f64], shape| tensor(values, shape, &device, DType::F32);
+        let splats = splats(&device);
+        let path = [
+            0.02, 0.04, 0.0, 0.0, 0.0, 0.0, -0.03, 0.05, 0.0, 0.0, 0.0, 0.0,
+        ];
+        let (aperture, focus) = (0.04, 1.5);
+        let mut truth = Capture::still(1, 2, (&device, DType::F32));
+        truth.paths = f32s(&path, [1, 12]);
+        truth.aperture = f32s(&[aperture], [1, 1]);
+        truth.focus = f32s(&[focus], [1, 1]);
+        let target = picture(&truth, &splats, 96, [0.5, 0.2]).detach();
+
+        // Half the aperture, in focus elsewhere, a short path in another direction.
+        let mut found = Capture::still(1, 2, (&device, DType::F32));
+        let start = [0.0, 0.015, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        found.paths = f32s(&start, [1, 12]).require_grad();
+        found.aperture = f32s(&[0.5 * aperture], [1, 1]).require_grad();
+        found.focus = f32s(&[1.2], [1, 1]).require_grad();
+        // What turns around the axis or moves along it is no question here: rotations alone are learned.
+        let mut rates = vec![0.0; 12];
+        for k in [0, 1, 6, 7] {
+            rates[k] = 2e-3;
+        }
+        let mut states = [&found.paths, &found.aperture, &found.focus].map(AdamState::new);
+        let steps = 300;
+        for it in 0..steps {
+            let jitter = [0.618, 0.755].map(|step: f64| (step * f64::from(it)).fract());
+            let seen = picture(&found, &splats, 32, jitter);
+            let mut grads = (seen - target.clone()).square().mean().backward();
+            let share = 0.02_f64.powf(f64::from(it) / f64::from(steps));
+            let scaled = |rates: &[f64]| {
+                LearningRate::PerColumn(rates.iter().map(|rate| rate * share).collect())
+            };
+            let rates = [scaled(&rates), scaled(&[2e-3]), scaled(&[3e-2])];
+            let all = [&mut found.paths, &mut found.aperture, &mut found.focus];
+            for ((tensor, state), rate) in all.into_iter().zip(&mut states).zip(&rates) {
+                let grad = tensor.grad_remove(&mut grads).expect("a gradient");
+                adam_step(tensor, grad, state, &AdamStep { rate, drawn: &[] });
+            }
+        }
+        let learned = values(found.paths.clone());
+        let place =
+            |path: &[f64], s: f64| [0, 1].map(|k| FOCAL * (path[k] * s + path[6 + k] * s * s));
+        // Both ways round are the same picture: a path has no direction where nothing moves.
+        let error = |sign: f64| {
+            let moments = [-0.5, -0.25, 0.25, 0.5];
+            moments.into_iter().fold(0.0_f64, |worst, s| {
+                let (a, b) = (place(&path, s), place(&learned, sign * s));
+                worst.max((a[0] - b[0]).hypot(a[1] - b[1]))
+            })
+        };
+        let worst = error(1.0).min(error(-1.0));
+        assert!(
+            worst < 0.1,
+            "{name}: the path is off by {worst} px: {learned:?}"
+        );
+        let [a, f] = [&found.aperture, &found.focus].map(|t| values(t.clone())[0]);
+        assert!(
+            (a.abs() / aperture - 1.0).abs() < 0.03,
+            "{name}: aperture {a}"
+        );
+        assert!((f / focus - 1.0).abs() < 0.03, "{name}: focus {f}");
+    }
+}
