@@ -1,10 +1,11 @@
-//! The splatting op at its extremes.
+//! The splatting ops at their extremes: renders, and exposures of the same Gaussians.
 
 use super::case::{Case, Precision, Results, scaled};
 use crate::noise;
 use splat_core::Camera;
 use splat_core::cpu::{
-    BackwardOptions, Float, Forward, SplatSlices, View, backward, project, rasterize,
+    BackwardOptions, Exposure, Float, Forward, SplatSlices, Transfer, View, backward, expose,
+    expose_backward, project, rasterize,
 };
 
 /// Inputs of a render.
@@ -128,11 +129,105 @@ fn case(name: &str, input: Input) -> Case {
     )
 }
 
+/// Samples of an exposure.
+const SAMPLES: usize = 3;
+
+fn exposed<T: Float>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
+    let cast = |k: usize| -> Vec<T> { inputs[k].iter().map(|v| T::from_f64(*v)).collect() };
+    let arrays: Vec<Vec<T>> = (0..9).map(cast).collect();
+    let middle = View {
+        camera: camera.clone(),
+        cam_from_world: std::array::from_fn(|k| inputs[5][k]),
+        sh_degree: 3,
+    };
+    let exposure = Exposure {
+        splats: SplatSlices {
+            means: &arrays[0],
+            quats: &arrays[1],
+            left_rotations: &[],
+            log_scales: &arrays[2],
+            opacity_logits: &arrays[3],
+            sh: &arrays[4],
+        },
+        middle: &middle,
+        poses: &arrays[6],
+        moving_means: &arrays[7],
+        left_rotations: &arrays[8],
+        transfer: Transfer::Srgb,
+    };
+    let picture = expose(&exposure).expect("finite input");
+    let weights: Vec<T> = scaled(picture.color.len(), 8, 1.0, 0.0)
+        .into_iter()
+        .map(|v| T::from_f64(f64::from(v as f32)))
+        .collect();
+    let g = expose_backward(&exposure, &picture.state, &weights, true).expect("a gradient");
+    let wide = |v: &[T]| -> Vec<f64> { v.iter().map(|v| (*v).into()).collect() };
+    Results {
+        forward: vec![("colour", wide(&picture.color))],
+        backward: vec![
+            ("means", wide(&g.middle.means)),
+            ("quats", wide(&g.middle.quats)),
+            ("log_scales", wide(&g.middle.log_scales)),
+            ("opacity_logits", wide(&g.middle.opacity_logits)),
+            ("sh", wide(&g.middle.sh)),
+            ("pose", wide(&g.middle.cam_from_world)),
+            ("poses", wide(&g.poses)),
+            ("moving_means", wide(&g.moving_means)),
+            ("left_rotations", wide(&g.left_rotations)),
+        ],
+    }
+}
+
+/// The same Gaussians while the camera moves by half a pixel or so from sample to sample and the first two Gaussians by a
+/// hundredth of a unit.
+fn exposed_case(name: &str, input: Input) -> Case {
+    let camera = input.camera;
+    let steps = (0..SAMPLES).map(|i| i as f64 - 1.0);
+    let poses = steps.clone().flat_map(|step| {
+        let mut pose = input.pose.clone();
+        pose[3] += step / camera.fx;
+        pose[7] -= 0.5 * step / camera.fy;
+        pose
+    });
+    let moving = &input.means[..input.left_rotations.len() / 3];
+    let moving_means = steps.flat_map(|step| moving.iter().map(move |v| v + 0.01 * step));
+    let inputs = vec![
+        input.means.clone(),
+        input.quats,
+        input.log_scales,
+        input.opacity_logits,
+        input.sh,
+        input.pose.clone(),
+        poses.collect(),
+        moving_means.collect(),
+        input.left_rotations.repeat(SAMPLES),
+    ];
+    Case::new(
+        "exposing",
+        name,
+        inputs,
+        move |inputs, precision| match precision {
+            Precision::F32 => exposed::<f32>(inputs, &camera),
+            Precision::F64 => exposed::<f64>(inputs, &camera),
+        },
+    )
+}
+
 pub(super) fn cases() -> Vec<Case> {
+    let inputs = inputs();
+    let renders = inputs.iter().map(|(name, input)| case(name, input.clone()));
+    let exposures = inputs
+        .iter()
+        .map(|(name, input)| exposed_case(name, input.clone()));
+    renders.chain(exposures).collect()
+}
+
+/// Inputs by name.
+fn inputs() -> Vec<(String, Input)> {
     let edited = |name: &str, n: usize, edit: &dyn Fn(&mut Input)| {
         let mut input = ordinary(n);
         edit(&mut input);
-        case(name, input)
+        (name.to_owned(), input)
     };
     let plain = |name: &str, edit: &dyn Fn(&mut Input)| edited(name, 6, edit);
     let quats_of_norm = |norm: f64| {
@@ -287,16 +382,13 @@ mod tests {
             let focal = [1.0, 30.0, 1e5][uniform(u, 0.0, 2.9)? as usize];
             let (cx, cy) = (uniform(u, -50.0, 50.0)?, 0.5 * height as f64);
             i.camera = Camera::pinhole([width, height], [focal, 30.0], [cx, cy]).with_near(NEAR);
-            let case = case("mixture", i);
-            for precision in [Precision::F32, Precision::F64] {
-                let results = (case.run)(&case.inputs, precision);
-                for (name, values) in results.forward.iter().chain(&results.backward) {
-                    let at = values.iter().position(|v| !v.is_finite());
-                    let inputs = &case.inputs;
-                    assert!(
-                        at.is_none(),
-                        "{precision:?}: {name} at {at:?} of {inputs:?}"
-                    );
+            for case in [case("mixture", i.clone()), exposed_case("mixture", i)] {
+                for precision in [Precision::F32, Precision::F64] {
+                    let results = (case.run)(&case.inputs, precision);
+                    for (name, values) in results.forward.iter().chain(&results.backward) {
+                        let at = values.iter().position(|v| !v.is_finite());
+                        assert!(at.is_none(), "{case:?}, {precision:?}: {name} at {at:?}");
+                    }
                 }
             }
             Ok(())
