@@ -153,6 +153,29 @@ fn a_picture_is_the_mean_light_of_renders_one_by_one() {
 }
 
 #[test]
+fn what_stands_still_keeps_its_left_rotation() {
+    for (name, device) in devices() {
+        let t = tensors(&device, DType::F64);
+        let left = t[8].clone().narrow(0, 0, 1).reshape([MOVING, 3, 3]);
+        let splats = Splats {
+            left_rotations: Some(left),
+            ..splats(&t)
+        };
+        let still = Exposure {
+            poses: t[5].clone().reshape([1, 3, 4]).expand([2, 3, 4]),
+            movers: None,
+            transfer: Transfer::Linear,
+        };
+        let view = view(&t[5], 3);
+        let exposed = expose(splats.clone(), &view, still, None).expect("a picture");
+        let rendered = render(splats, &view, Extra::default()).expect("a render");
+        for (a, b) in values(exposed.color).iter().zip(values(rendered.color())) {
+            assert!((a - b).abs() < 1e-14, "{name}: {a} {b}");
+        }
+    }
+}
+
+#[test]
 fn bits_do_not_depend_on_the_number_of_threads() {
     let run = |threads| {
         in_pool(threads, || {

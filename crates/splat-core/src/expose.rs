@@ -14,7 +14,7 @@ use crate::splats::{Splats, Viewpoint, check_dtype, check_shape};
 pub struct Exposure {
     /// The samples' poses, [n, 3, 4] with n > 0. They need not be rigid: a point of a lens is a shear.
     pub poses: Tensor<3>,
-    /// Where moving Gaussians are in each sample; `None` where all rest.
+    /// Where moving Gaussians are in each sample; `None` where all rest as they stand.
     pub movers: Option<Movers>,
     /// How the picture's values stand for light.
     pub transfer: Transfer,
@@ -43,7 +43,8 @@ pub struct Exposed {
 ///
 /// `splats` are the Gaussians in the middle of the exposure, and `middle` is the view from there; every sample sees a
 /// Gaussian in the colour in which its middle is seen then, which is exact without SH bands over 0, and otherwise off by
-/// the turn of the direction within the exposure. Left rotations of `splats` take no part.
+/// the turn of the direction within the exposure. The left rotations of `splats` are those of the middle, and count where
+/// nothing moves.
 ///
 /// `screen_grad` is as in [`crate::Extra`]; its statistic is the sum over the samples.
 ///
@@ -58,7 +59,7 @@ pub fn expose(
     exposure: Exposure,
     screen_grad: Option<Tensor<1>>,
 ) -> Result<Exposed, SplatError> {
-    splats.left_rotations = None;
+    let standing = splats.left_rotations.take();
     let layout = splats.layout(&middle.cam_from_world)?;
     let options = (&splats.means.device(), layout.dtype);
     let [n, ..] = exposure.poses.dims();
@@ -76,10 +77,22 @@ pub fn expose(
             check_dtype("left_rotations", left_rotations.dtype(), layout.dtype)?;
             (means, left_rotations)
         }
-        None => (
-            Tensor::zeros([n, 0, 3], options),
-            Tensor::zeros([n, 0, 3, 3], options),
-        ),
+        None => match standing {
+            Some(left) if left.dims()[0] > 0 => {
+                let [rows, ..] = left.dims();
+                check_shape("left_rotations", left.dims(), [rows.min(layout.rows), 3, 3])?;
+                check_dtype("left_rotations", left.dtype(), layout.dtype)?;
+                let means = splats.means.clone().slice_dim(0, 0..rows);
+                (
+                    means.reshape([1, rows, 3]).expand([n, rows, 3]),
+                    left.reshape([1, rows, 3, 3]).expand([n, rows, 3, 3]),
+                )
+            }
+            _ => (
+                Tensor::zeros([n, 0, 3], options),
+                Tensor::zeros([n, 0, 3, 3], options),
+            ),
+        },
     };
     let screen_grad = match screen_grad {
         Some(screen) => {

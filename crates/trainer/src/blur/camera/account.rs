@@ -7,6 +7,8 @@ use capture::samples;
 
 /// Disparities (S / depth) between which most of a scene lies; discs are measured there.
 const DISPARITIES: [f64; 2] = [0.6, 1.6];
+/// A focus of a smaller disparity, which is as good as infinite, is given as this.
+const LEAST_DISPARITY: f64 = 1e-3;
 /// Places of a spot that are drawn.
 const SPOT_SAMPLES: usize = 2000;
 
@@ -21,11 +23,12 @@ impl CameraBlur {
             .fold(0.0, f64::max);
         let row = |tensor: &Tensor<2>, row| host(tensor.clone().detach().narrow(0, row, 1));
         let offset = row(&self.capture.offsets, frame);
+        let focus = f64::from(row(&self.capture.focus, frame)[0]);
         let [x, y] = [offset[1] + offset[3], offset[4] - offset[0]].map(f64::from);
         TakenView {
             frame: CameraFrame {
                 blur_px,
-                focus: self.scene_size / f64::from(row(&self.capture.focus, frame)[0]),
+                focus: self.scene_size / focus.max(LEAST_DISPARITY),
                 disc_px,
                 offset_px: focal * x.hypot(y),
                 samples: self.samples(blur_px, disc_px),

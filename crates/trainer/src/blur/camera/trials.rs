@@ -31,8 +31,8 @@ impl CameraBlur {
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
         }
-        for (frame, look) in looks.iter().enumerate() {
-            now.push(trial.error(&world, look, frame)?);
+        for look in looks {
+            now.push(trial.error(&world, look)?);
         }
         let lengths: Vec<f64> = (0..looks.len())
             .map(|frame| self.capture.path_px(frame, self.focal[frame]))
@@ -50,7 +50,7 @@ impl CameraBlur {
             let mut best = (now[frame], own.clone());
             for candidate in candidates {
                 trial.set_path(frame, &candidate);
-                let error = trial.error(&world, look, frame)?;
+                let error = trial.error(&world, look)?;
                 if error < best.0 {
                     best = (error, candidate);
                 }
@@ -59,7 +59,7 @@ impl CameraBlur {
                 // What does not pay is left out for good.
                 let still = vec![0.0; own.len()];
                 trial.set_path(frame, &still);
-                if trial.error(&world, look, frame)? <= 1.01 * best.0 {
+                if trial.error(&world, look)? <= 1.01 * best.0 {
                     best.1 = still;
                 }
             }
@@ -98,20 +98,12 @@ impl CameraBlur {
         self.capture.paths = tensor(values, [frames, width], &device);
     }
 
-    /// Mean absolute difference between what the camera would have seen and the frame.
-    fn error(&self, world: &World, look: &Look<'_>, frame: usize) -> Result<f64, TrainError> {
+    /// Mean squared difference between what the camera would have seen and the frame.
+    fn error(&self, world: &World, look: &Look<'_>) -> Result<f64, TrainError> {
         let Some(view) = look.view else {
             return Ok(0.0);
         };
-        let look = Look {
-            viewpoint: look.viewpoint,
-            frame: Some(frame),
-            iteration: look.iteration,
-            sh_degree: look.sh_degree,
-            view: None,
-            screen_grad: None,
-        };
-        let seen = self.show(world, &look)?.seen;
+        let seen = self.show(world, look)?.seen;
         let difference = (seen.clone() - view.image(&seen)).square().mean();
         Ok(f64::from(host(difference)[0]))
     }
