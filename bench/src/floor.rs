@@ -3,7 +3,7 @@
 use splat_core::cpu::{View, project};
 
 use crate::pairs::count_pairs;
-use crate::workload::{Blur, Workload};
+use crate::workload::{Blur, SAMPLES, Workload};
 
 /// Floating-point operations and bytes that have to be moved between memory and a core.
 #[derive(Clone, Copy, Debug, Default)]
@@ -76,9 +76,29 @@ pub fn work(stage: &str, workload: &Workload, counts: &Counts) -> Option<Work> {
             operations: 38.0 * counts.pairs,
             bytes: F32 * (13.0 * counts.slots + 7.0 * pixels),
         },
-        "rasterize backward" => Work {
-            operations: 65.0 * counts.pairs,
-            bytes: F32 * (23.0 * counts.slots + 7.0 * pixels),
+        "rasterize backward" => {
+            // The sharp render, and every sample of an exposure.
+            let renders = match workload.blur {
+                Blur::Camera => 1.0 + SAMPLES as f64,
+                Blur::Off | Blur::Trained | Blur::Frozen | Blur::Half => 1.0,
+            };
+            Work {
+                operations: renders * 65.0 * counts.pairs,
+                bytes: renders * F32 * (23.0 * counts.slots + 7.0 * pixels),
+            }
+        }
+        // What the samples share is read once; each projects, blends three channels and turns them into light.
+        "expose" => Work {
+            operations: SAMPLES as f64
+                * (240.0 * counts.visible + 34.0 * counts.pairs + 90.0 * pixels),
+            bytes: F32
+                * (PARAMETERS * n
+                    + SAMPLES as f64
+                        * (13.0 * counts.visible + 15.0 * counts.slots + 3.0 * pixels)),
+        },
+        "expose backward" => Work {
+            operations: SAMPLES as f64 * (500.0 * counts.visible + 60.0 * pixels),
+            bytes: F32 * (SAMPLES as f64 * 9.0 * counts.slots + 2.0 * PARAMETERS * n),
         },
         "project backward" => Work {
             operations: 900.0 * counts.visible,

@@ -48,7 +48,7 @@ pub struct StageRow {
 }
 
 /// Stages of splatting and of the blur model.
-const MAIN: [&str; 16] = [
+const MAIN: [&str; 18] = [
     "project",
     "rasterize",
     "rasterize backward",
@@ -65,6 +65,8 @@ const MAIN: [&str; 16] = [
     "upsample backward",
     "composite",
     "composite backward",
+    "expose",
+    "expose backward",
 ];
 
 /// Times `iterations` iterations of a workload, all doing the same work.
@@ -90,10 +92,9 @@ pub fn time_workload(
         workload.height,
         workload.gaussians,
         workload.blur.name(),
-        if workload.blur == Blur::Off {
-            String::new()
-        } else {
-            format!(", K = {}", workload.kernel_size)
+        match workload.blur {
+            Blur::Off | Blur::Camera => String::new(),
+            Blur::Trained | Blur::Frozen | Blur::Half => format!(", K = {}", workload.kernel_size),
         }
     );
     Ok(breakdown(name, times, &spans, |stage, ms| {

@@ -5,10 +5,14 @@ use io::{Frame, Image, Scene, SparsePoint, View};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
 use splat_core::{Camera, Gaussians};
+use trainer::settings::BlurKind;
 use trainer::{Device, Settings, TrainError, Trainer};
 
 /// Training frames of a workload.
 pub const FRAMES: usize = 24;
+
+/// Renders that a frame of [`Blur::Camera`] is averaged from.
+pub const SAMPLES: usize = 8;
 
 /// What of the blur model an iteration carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +25,8 @@ pub enum Blur {
     Frozen,
     /// All of it, features and kernels at half resolution.
     Half,
+    /// The camera in the place of kernels, [`SAMPLES`] samples a frame.
+    Camera,
 }
 
 impl Blur {
@@ -32,6 +38,7 @@ impl Blur {
             Self::Trained => "blur on, extractor trained",
             Self::Frozen => "blur on, extractor frozen",
             Self::Half => "blur on, half resolution",
+            Self::Camera => "blur by the camera, 8 samples",
         }
     }
 }
@@ -149,6 +156,13 @@ impl Workload {
         settings.blur.hold = 0;
         settings.blur.downscale = if self.blur == Blur::Half { 2 } else { 1 };
         settings.blur.train_extractor = self.blur != Blur::Frozen;
+        if self.blur == Blur::Camera {
+            settings.blur.model = BlurKind::Camera;
+            settings.camera.samples = SAMPLES;
+            // Far more than are allowed, for a path of two pixels.
+            settings.camera.spacing_px = 0.05;
+            settings.learning_rates.camera_path = 0.0;
+        }
         let mut trainer = Trainer::new(self.scene(), settings, device)?;
         trainer.start_from(&self.gaussians())?;
         Ok(trainer)

@@ -152,8 +152,7 @@ impl CameraBlur {
         };
         let splats = posed.splats.clone();
         let rendered = render_posed(posed, &viewpoint, None)?;
-        let exposed = trace_span!("expose")
-            .in_scope(|| expose(splats, &viewpoint, exposure, look.screen_grad.clone()))?;
+        let exposed = expose(splats, &viewpoint, exposure, look.screen_grad.clone())?;
         Ok(Shown {
             seen: exposed.color,
             radii: exposed.radii,
