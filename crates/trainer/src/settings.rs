@@ -1,6 +1,10 @@
 //! Everything that can be chosen about a training run, with its default.
 
-use crate::TrainError;
+mod blur;
+mod ranges;
+
+pub use blur::{BlurKind, BlurSettings, CameraSettings, TransferKind};
+
 use serde::{Deserialize, Serialize};
 
 /// All settings of a training run.
@@ -145,125 +149,6 @@ impl Default for MotionSettings {
             densify: true,
             densify_at: 2500,
             densify_per_frame: 1000,
-        }
-    }
-}
-
-/// What explains blur.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum BlurKind {
-    /// The paper's: BP-Net predicts a kernel and an intensity for every pixel.
-    #[default]
-    Kernels,
-    /// The camera itself: its path while the shutter is open, and its lens.
-    Camera,
-}
-
-/// The blur model; all but the first two are those of BP-Net.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BlurSettings {
-    /// Whether blur is modelled.
-    pub enabled: bool,
-    /// By what.
-    pub model: BlurKind,
-    /// Side K of the blur kernels, odd, 1 to 15.
-    pub kernel_size: usize,
-    /// Blur starts after this iteration (of 40,000), never before `min(250, n / 4)`.
-    pub from: usize,
-    /// For `min(hold, n / 8)` iterations from its start on the blur model is applied but not stepped; 0 for no hold.
-    pub hold: usize,
-    /// Whether the scene feature extractor is trained.
-    pub train_extractor: bool,
-    /// Skip connections of the scene features (paper, "shortcut").
-    pub shortcut: bool,
-    /// Features, kernels and intensities are computed on a picture so many times smaller, 1 to 4.
-    pub downscale: usize,
-    /// Whether the head starts at a mild blur; else as a framework initialises it.
-    pub mild_start: bool,
-    /// Rows and columns of the cells whose mean kernel shift the gauge holds at zero.
-    pub gauge_cells: [usize; 2],
-}
-
-impl Default for BlurSettings {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            model: BlurKind::Kernels,
-            kernel_size: 9,
-            from: 3500,
-            hold: 200,
-            train_extractor: true,
-            shortcut: true,
-            downscale: 1,
-            mild_start: true,
-            gauge_cells: [4, 8],
-        }
-    }
-}
-
-/// The camera as a blur model.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct CameraSettings {
-    /// Whether the camera moves while its shutter is open.
-    pub path: bool,
-    /// Whether it has a lens with an aperture and a focus.
-    pub lens: bool,
-    /// Whether the given poses are refined.
-    pub offsets: bool,
-    /// Degree of the paths, 1 to 3.
-    pub path_degree: usize,
-    /// A frame is averaged from at most so many renders, 2 to 64.
-    pub samples: usize,
-    /// Distance of the samples from each other in the image, px.
-    pub spacing_px: f64,
-    /// How a picture's values stand for light.
-    pub transfer: TransferKind,
-    /// Length of every path at the start, in pixels of a picture 256 wide.
-    pub start_px: f64,
-    /// Radius of the lens at the start, in units of S.
-    pub aperture: f64,
-    /// Time for which the shutter is open at the start, in units of frames.
-    pub shutter: f64,
-}
-
-impl Default for CameraSettings {
-    fn default() -> Self {
-        Self {
-            path: true,
-            lens: true,
-            offsets: true,
-            path_degree: 2,
-            samples: 8,
-            spacing_px: 0.75,
-            transfer: TransferKind::Srgb,
-            start_px: 2.0,
-            aperture: 0.01,
-            shutter: 0.6,
-        }
-    }
-}
-
-/// How a picture's values stand for light.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum TransferKind {
-    /// sRGB's curve.
-    Srgb,
-    /// A power.
-    Power(f64),
-    /// They are light.
-    Linear,
-}
-
-impl From<TransferKind> for splat_core::Transfer {
-    fn from(kind: TransferKind) -> Self {
-        match kind {
-            TransferKind::Srgb => Self::Srgb,
-            TransferKind::Power(gamma) => Self::Power(gamma),
-            TransferKind::Linear => Self::Linear,
         }
     }
 }
@@ -443,146 +328,6 @@ impl Settings {
         settings.loss.gauge = 0.0;
         settings
     }
-
-    /// Checks every range.
-    ///
-    /// # Errors
-    /// Names the first setting that is out of its range, and the range.
-    pub fn validate(&self) -> Result<(), TrainError> {
-        let check = |ok: bool, key: &str, allowed: &str| {
-            if ok {
-                Ok(())
-            } else {
-                Err(TrainError::setting(key, format!("must be {allowed}")))
-            }
-        };
-        check(
-            self.iterations >= 200,
-            "iterations",
-            "200 or more (a shorter run has no room for the schedule)",
-        )?;
-        let g = &self.gaussians;
-        check(g.sh_degree <= 3, "gaussians.sh_degree", "0 to 3")?;
-        check(
-            g.sh_degree_every > 0,
-            "gaussians.sh_degree_every",
-            "positive",
-        )?;
-        check(g.control_every > 0, "gaussians.control_every", "positive")?;
-        check(
-            g.max_initial_static > 0,
-            "gaussians.max_initial_static",
-            "positive",
-        )?;
-        check(
-            g.initial_opacity > 0.0 && g.initial_opacity < 1.0,
-            "gaussians.initial_opacity",
-            "between 0 and 1, both excluded",
-        )?;
-        check(
-            (0.0..1.0).contains(&g.prune_opacity),
-            "gaussians.prune_opacity",
-            "0 or more and under 1",
-        )?;
-        check(
-            (0.0..=256.0).contains(&g.mask_margin),
-            "gaussians.mask_margin",
-            "0 to 256 (pixels of a picture 256 wide)",
-        )?;
-        let k = self.blur.kernel_size;
-        check(k % 2 == 1 && k <= 15, "blur.kernel_size", "odd, 1 to 15")?;
-        check(
-            (1..=bpnet::MAX_DOWNSCALE).contains(&self.blur.downscale),
-            "blur.downscale",
-            "1 to 4",
-        )?;
-        check(
-            self.blur.gauge_cells.iter().all(|n| (1..=64).contains(n)),
-            "blur.gauge_cells",
-            "two numbers, 1 to 64",
-        )?;
-        let c = &self.camera;
-        check(
-            (1..=3).contains(&c.path_degree),
-            "camera.path_degree",
-            "1 to 3",
-        )?;
-        check((2..=64).contains(&c.samples), "camera.samples", "2 to 64")?;
-        if let TransferKind::Power(gamma) = c.transfer {
-            let key = "camera.transfer.power";
-            check((1.0..=4.0).contains(&gamma), key, "1 to 4")?;
-        }
-        check(self.motion.num_bases > 0, "motion.num_bases", "positive")?;
-        check(self.unseen.every > 0, "unseen.every", "positive")?;
-        check(self.loss.ssim <= 1.0, "loss.ssim", "0 to 1")?;
-        let l = &self.learning_rates;
-        let positive = [
-            (
-                g.initial_static_per_pixel,
-                "gaussians.initial_static_per_pixel",
-            ),
-            (g.gradient_threshold, "gaussians.gradient_threshold"),
-            (g.split_scale, "gaussians.split_scale"),
-            (g.prune_scale, "gaussians.prune_scale"),
-            (g.depth_edge, "gaussians.depth_edge"),
-            (g.near, "gaussians.near"),
-            (l.means, "learning_rates.means"),
-            (l.means_final, "learning_rates.means_final"),
-            (l.motion_final_share, "learning_rates.motion_final_share"),
-            (l.blur_final_share, "learning_rates.blur_final_share"),
-            (
-                l.blur_short_run_share,
-                "learning_rates.blur_short_run_share",
-            ),
-            (l.short_run_boost, "learning_rates.short_run_boost"),
-            (c.spacing_px, "camera.spacing_px"),
-            (l.camera_final_share, "learning_rates.camera_final_share"),
-        ];
-        for (value, key) in positive {
-            check(value.is_finite() && value > 0.0, key, "a positive number")?;
-        }
-        let w = &self.loss;
-        let not_negative = [
-            (g.max_per_pixel, "gaussians.max_per_pixel"),
-            (self.unseen.offset, "unseen.offset"),
-            (self.unseen.sharpness, "unseen.sharpness"),
-            (self.unseen.min_valid, "unseen.min_valid"),
-            (w.ssim, "loss.ssim"),
-            (w.depth, "loss.depth"),
-            (w.mask, "loss.mask"),
-            (w.kernel_center, "loss.kernel_center"),
-            (w.intensity, "loss.intensity"),
-            (w.gauge, "loss.gauge"),
-            (w.downsample, "loss.downsample"),
-            (w.bases_acceleration, "loss.bases_acceleration"),
-            (w.means_acceleration, "loss.means_acceleration"),
-            (w.along_ray, "loss.along_ray"),
-            (l.sh_dc, "learning_rates.sh_dc"),
-            (l.sh_rest, "learning_rates.sh_rest"),
-            (l.opacity, "learning_rates.opacity"),
-            (l.scales, "learning_rates.scales"),
-            (l.rotations, "learning_rates.rotations"),
-            (l.coefficients, "learning_rates.coefficients"),
-            (l.bases, "learning_rates.bases"),
-            (l.blur, "learning_rates.blur"),
-            (c.start_px, "camera.start_px"),
-            (c.aperture, "camera.aperture"),
-            (c.shutter, "camera.shutter"),
-            (l.camera_path, "learning_rates.camera_path"),
-            (l.camera_offset, "learning_rates.camera_offset"),
-            (l.camera_focus, "learning_rates.camera_focus"),
-            (l.camera_aperture, "learning_rates.camera_aperture"),
-            (l.camera_shutter, "learning_rates.camera_shutter"),
-        ];
-        for (value, key) in not_negative {
-            check(
-                value.is_finite() && value >= 0.0,
-                key,
-                "zero or a positive number",
-            )?;
-        }
-        Ok(())
-    }
 }
 
 #[cfg(test)]
@@ -607,19 +352,5 @@ mod tests {
     fn a_misspelt_setting_is_an_error() {
         let error = toml::from_str::<Settings>("[blur]\nkernel = 9\n").expect_err("unknown key");
         assert!(error.to_string().contains("kernel"), "{error}");
-    }
-
-    #[test]
-    fn values_out_of_range_are_named() {
-        let mistake = |change: fn(&mut Settings)| {
-            let mut settings = Settings::default();
-            change(&mut settings);
-            settings.validate().expect_err("out of range").to_string()
-        };
-        assert!(mistake(|s| s.blur.kernel_size = 8).contains("blur.kernel_size"));
-        assert!(mistake(|s| s.iterations = 199).contains("iterations"));
-        assert!(mistake(|s| s.loss.depth = f64::NAN).contains("loss.depth"));
-        assert!(Settings::default().validate().is_ok());
-        assert!(Settings::paper().validate().is_ok());
     }
 }

@@ -1,0 +1,122 @@
+//! Settings of the blur models.
+
+use serde::{Deserialize, Serialize};
+
+/// What explains blur.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BlurKind {
+    /// The paper's: BP-Net predicts a kernel and an intensity for every pixel.
+    #[default]
+    Kernels,
+    /// The camera itself: its path while the shutter is open, and its lens.
+    Camera,
+}
+
+/// The blur model; all but the first two are those of BP-Net.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BlurSettings {
+    /// Whether blur is modelled.
+    pub enabled: bool,
+    /// By what.
+    pub model: BlurKind,
+    /// Side K of the blur kernels, odd, 1 to 15.
+    pub kernel_size: usize,
+    /// Blur starts after this iteration (of 40,000), never before `min(250, n / 4)`.
+    pub from: usize,
+    /// For `min(hold, n / 8)` iterations from its start on the blur model is applied but not stepped; 0 for no hold.
+    pub hold: usize,
+    /// Whether the scene feature extractor is trained.
+    pub train_extractor: bool,
+    /// Skip connections of the scene features (paper, "shortcut").
+    pub shortcut: bool,
+    /// Features, kernels and intensities are computed on a picture so many times smaller, 1 to 4.
+    pub downscale: usize,
+    /// Whether the head starts at a mild blur; else as a framework initialises it.
+    pub mild_start: bool,
+    /// Rows and columns of the cells whose mean kernel shift the gauge holds at zero.
+    pub gauge_cells: [usize; 2],
+}
+
+impl Default for BlurSettings {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            model: BlurKind::Kernels,
+            kernel_size: 9,
+            from: 3500,
+            hold: 200,
+            train_extractor: true,
+            shortcut: true,
+            downscale: 1,
+            mild_start: true,
+            gauge_cells: [4, 8],
+        }
+    }
+}
+
+/// The camera as a blur model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraSettings {
+    /// Whether the camera moves while its shutter is open.
+    pub path: bool,
+    /// Whether it has a lens with an aperture and a focus.
+    pub lens: bool,
+    /// Whether the given poses are refined.
+    pub offsets: bool,
+    /// Degree of the paths, 1 to 3.
+    pub path_degree: usize,
+    /// A frame is averaged from at most so many renders, 2 to 64.
+    pub samples: usize,
+    /// Distance of the samples from each other in the image, px.
+    pub spacing_px: f64,
+    /// How a picture's values stand for light.
+    pub transfer: TransferKind,
+    /// Length of every path at the start, in pixels of a picture 256 wide.
+    pub start_px: f64,
+    /// Radius of the lens at the start, in units of S.
+    pub aperture: f64,
+    /// Time for which the shutter is open at the start, in units of frames.
+    pub shutter: f64,
+}
+
+impl Default for CameraSettings {
+    fn default() -> Self {
+        Self {
+            path: true,
+            lens: true,
+            offsets: true,
+            path_degree: 2,
+            samples: 8,
+            spacing_px: 0.75,
+            transfer: TransferKind::Srgb,
+            start_px: 2.0,
+            aperture: 0.01,
+            shutter: 0.6,
+        }
+    }
+}
+
+/// How a picture's values stand for light.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TransferKind {
+    /// sRGB's curve.
+    Srgb,
+    /// A power.
+    Power(f64),
+    /// They are light.
+    Linear,
+}
+
+impl From<TransferKind> for splat_core::Transfer {
+    fn from(kind: TransferKind) -> Self {
+        match kind {
+            TransferKind::Srgb => Self::Srgb,
+            TransferKind::Power(gamma) => Self::Power(gamma),
+            TransferKind::Linear => Self::Linear,
+        }
+    }
+}
