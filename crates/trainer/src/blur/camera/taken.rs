@@ -34,7 +34,7 @@ impl TakenView {
     }
 }
 
-/// Figures of [`BlurModel::Camera`](super::BlurModel::Camera) over all training frames.
+/// Figures of [`BlurModel::Camera`](crate::BlurModel::Camera) over all training frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraFigures {
     /// Time for which the shutter is open, in units of frames.
