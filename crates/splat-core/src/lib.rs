@@ -2,7 +2,7 @@
 //!
 //! Without the default feature `burn` this crate is cameras, plain Gaussian arrays and the slice
 //! kernels ([`cpu`]), and that is all that file formats and viewers need. With it, [`prepare`],
-//! [`rasterize`] and [`render`] do the same on Burn tensors, with gradients.
+//! [`rasterize`], [`render`] and [`expose`] do the same on Burn tensors, with gradients.
 //!
 //! ```
 //! use splat_core::cpu::{View, project, rasterize};

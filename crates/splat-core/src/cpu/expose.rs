@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::blocks::{BLOCK, BLOCKS};
 use super::body::Body;
 use super::constants::TILE;
-use super::exposure::{Exposed, ExposedState, Exposure, Moved, Sample};
+use super::exposure::{COLORS, Exposed, ExposedState, Exposure, Moved, Sample};
 use super::geometry::{Lens, project_some};
 use super::packs::Pack;
 use super::project::{find_not_finite, in_depth_order, keep_visible};
@@ -20,9 +20,6 @@ use super::stills::{Still, chunks, moved_shapes, stills};
 use super::transfer::Transfer;
 use super::types::{SplatSlices, View};
 use crate::error::SplatError;
-
-/// Blended channels: colour alone.
-const COLORS: usize = 3;
 
 /// See [`super::expose`].
 pub(super) fn expose<T: Real>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, SplatError> {

@@ -10,11 +10,11 @@ use super::blocks::{BLOCK, BLOCKS, place};
 use super::body::{Body, Shapes, column, quaternion_gradient};
 use super::color_backward::{Coloring, center_gradient, color_gradient};
 use super::constants::TILE;
-use super::exposure::{ExposedState, Exposure, ExposureGradients, Moved, Sample};
+use super::exposure::{COLORS, ExposedState, Exposure, ExposureGradients, Moved, Sample};
 use super::geometry::{Lens, project_some};
 use super::matrices::{mul_transpose3, transpose_mul3};
 use super::packs::{Number as _, Pack, WIDEST, array, packs};
-use super::pieces::{Piece, RowGradient, no_gradients, pieces, put_columns};
+use super::pieces::{Piece, RowGradient, drawn, no_gradients, pieces, put_columns};
 use super::project::CHUNK;
 use super::project_backward::{all_finite, tree_sum};
 use super::raster_backward::{GEOMETRIC, partial_gradients, slot_sums};
@@ -25,8 +25,6 @@ use super::types::SplatSlices;
 use super::world_backward::{logit_gradient, to_world};
 use crate::error::SplatError;
 
-/// Blended channels: colour alone.
-const COLORS: usize = 3;
 /// Sums of a partial gradient.
 const WIDTH: usize = GEOMETRIC + COLORS;
 
@@ -356,15 +354,7 @@ impl<T: Real> BackThrough<'_, T> {
         let s = geometric[5];
 
         // A sample in which a Gaussian's gradient overflows gives it none.
-        let drawn = Pack::from_fn(
-            simd,
-            #[inline(always)]
-            |l| {
-                let is_drawn = ranks.get(l).is_some_and(|rank| *rank != u32::MAX);
-                if is_drawn { T::ONE } else { T::ZERO }
-            },
-        );
-        let mut kept = zero.less(drawn);
+        let mut kept = drawn(simd, ranks);
         if self.drop_overflow {
             let mut total = s.abs() + v_world.screen.abs();
             for values in [

@@ -8,6 +8,9 @@ use super::transfer::Transfer;
 use super::types::{SplatSlices, View};
 use crate::error::SplatError;
 
+/// Blended channels of a sample: colour alone.
+pub(super) const COLORS: usize = 3;
+
 /// Gaussians, and from where the light of one picture came: n samples of equal weight.
 #[derive(Clone, Copy, Debug)]
 pub struct Exposure<'a, T> {

@@ -2,6 +2,7 @@
 //!
 //! Three calls make a render and its gradient:
 //! [`project`] (projection, culling, depth sort, tile lists), [`rasterize`] and [`backward`].
+//! [`expose`] and [`expose_backward`] do the same for the mean light of several renders.
 //! EWA splatting (Zwicker et al. 2001) as in 3D Gaussian splatting (Kerbl et al. 2023), with the
 //! constants of gsplat. Results have the same bits with any number of threads: all work is cut in
 //! fixed pieces and every sum has a fixed order.

@@ -5,7 +5,7 @@ use pulp::Simd;
 
 use super::color_backward::ColorGradient;
 use super::gradients::Gradients;
-use super::packs::{Number as _, Pack, array, arrays};
+use super::packs::{Number as _, Pack, Where, array, arrays};
 use super::project::CHUNK;
 use super::real::Real;
 use super::sh;
@@ -114,6 +114,20 @@ impl<T: Real> Piece<'_, T> {
             }
         }
     }
+}
+
+/// The lanes of Gaussians that are drawn: those with a place in depth order.
+#[inline(always)]
+pub(super) fn drawn<T: Real, S: Simd>(simd: S, ranks: &[u32]) -> Where<T, S> {
+    let is_drawn = Pack::from_fn(
+        simd,
+        #[inline(always)]
+        |l| {
+            let is_drawn = ranks.get(l).is_some_and(|rank| *rank != u32::MAX);
+            if is_drawn { T::ONE } else { T::ZERO }
+        },
+    );
+    Pack::splat(simd, T::ZERO).less(is_drawn)
 }
 
 /// Writes the columns of those Gaussians that are kept, from row `first` on.

@@ -10,7 +10,7 @@ use super::geometry::{Lens, project_some};
 use super::gradients::{BackwardOptions, Gradients};
 use super::matrices::{mul_transpose3, transpose_mul3};
 use super::packs::{Pack, array};
-use super::pieces::{Piece, RowGradient, no_gradients, pieces, put_columns};
+use super::pieces::{Piece, RowGradient, drawn, no_gradients, pieces, put_columns};
 use super::project::Projection;
 use super::raster_backward::{GEOMETRIC, slot_sums};
 use super::real::Real;
@@ -177,15 +177,7 @@ impl<T: Real> Job<'_, T> {
         };
 
         // One that overflows leaves the sum of magnitudes infinite or not a number, and gets no gradient.
-        let drawn = Pack::from_fn(
-            simd,
-            #[inline(always)]
-            |l| {
-                let is_drawn = ranks.get(l).is_some_and(|rank| *rank != u32::MAX);
-                if is_drawn { T::ONE } else { T::ZERO }
-            },
-        );
-        let mut kept = zero.less(drawn);
+        let mut kept = drawn(simd, ranks);
         if self.drop_overflow {
             let mut total = gradient.magnitude();
             for value in v_pose.iter().chain(v_left.iter().flatten()) {
