@@ -152,5 +152,7 @@ pub fn settings() -> Settings {
     settings.blur.hold = 0;
     settings.blur.kernel_size = 5;
     settings.loss.intensity = 0.001;
+    settings.camera.lens = true;
+    settings.camera.offsets = true;
     settings
 }

@@ -62,9 +62,10 @@ impl Default for BlurSettings {
 pub struct CameraSettings {
     /// Whether the camera moves while its shutter is open.
     pub path: bool,
-    /// Whether it has a lens with an aperture and a focus.
+    /// Whether it has a lens with an aperture and a focus. Beside a path it dies: the two explain each other's blur.
     pub lens: bool,
-    /// Whether the given poses are refined.
+    /// Whether the given poses are refined. Where they are right, that costs two decibels: paths and offsets drift
+    /// against each other.
     pub offsets: bool,
     /// Degree of the paths, 1 to 3.
     pub path_degree: usize,
@@ -86,8 +87,8 @@ impl Default for CameraSettings {
     fn default() -> Self {
         Self {
             path: true,
-            lens: true,
-            offsets: true,
+            lens: false,
+            offsets: false,
             path_degree: 2,
             samples: 8,
             spacing_px: 0.75,
