@@ -116,16 +116,16 @@ impl BlurModel {
         }
     }
 
-    /// What it does once an iteration's parameters are stepped; `looks` are those at all training frames. Returns the
-    /// parameters with rows that are others now, and these rows.
-    pub(crate) fn stepped(
+    /// What it does between iterations; `looks` are those at all training frames. Returns the parameters with rows that are
+    /// others now, and these rows.
+    pub(crate) fn between(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
     ) -> Result<Vec<(Parameter, Vec<usize>)>, TrainError> {
         match self {
             Self::Off | Self::Kernels(_) => Ok(Vec::new()),
-            Self::Camera(camera) => camera.stepped(world, looks),
+            Self::Camera(camera) => camera.between(world, looks),
         }
     }
 

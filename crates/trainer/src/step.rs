@@ -47,6 +47,8 @@ impl Trainer {
             });
         }
         let it = self.iteration() + 1;
+        // Before anything is stepped: after an error the state is whole.
+        self.change_blur(it - 1)?;
         let Run {
             plan,
             state,
@@ -99,7 +101,6 @@ impl Trainer {
             state.model.blur.learned(frame, trace);
         }
         self.step_parameters(it, frame, gradients);
-        self.change_blur(it)?;
         self.change_gaussians(it);
 
         let progress = &mut self.run.state.progress;
@@ -134,14 +135,14 @@ impl Trainer {
         }
     }
 
-    /// Lets the blur model do what it does between iterations.
+    /// Lets the blur model do what it does once `it` iterations are done.
     fn change_blur(&mut self, it: usize) -> Result<(), TrainError> {
         let Self { run, data } = self;
         let mut blur = run.state.model.blur.clone();
         let training = |frame| ViewRef::training(&run.plan.views, &data.scene, frame);
         let views: Vec<_> = (0..run.plan.views.train.len()).map(training).collect();
         let looks: Vec<_> = views.iter().map(|view| run.look_at(view, it)).collect();
-        let changed = blur.stepped(&run.state.model.world, &looks)?;
+        let changed = blur.between(&run.state.model.world, &looks)?;
         run.state.model.blur = blur;
         for (parameter, rows) in changed {
             run.state.optimizer.zero_rows(&parameter, &rows);

@@ -194,8 +194,8 @@ impl CameraBlur {
         samples_for(blur_px, disc_px, spacing_px, samples).max(LEAST_SAMPLES)
     }
 
-    /// See [`super::BlurModel::stepped`].
-    pub(super) fn stepped(
+    /// See [`super::BlurModel::between`].
+    pub(super) fn between(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
