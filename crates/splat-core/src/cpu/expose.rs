@@ -35,7 +35,8 @@ pub(super) fn expose<T: Real>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, 
     let mut picture = filled([T::ZERO; BLOCK], num_tiles * BLOCKS * COLORS);
     let mut radii = vec![0.0_f32; count];
     let arch = Arch::new();
-    let mut samples = Vec::with_capacity(n);
+    // In order, so that the first fault is named whatever the threads do.
+    let mut looks = Vec::with_capacity(n);
     for i in 0..n {
         let moved = exposure.moved(i);
         find_not_finite("moving_means", moved.means, 3, i * moved.rows)?;
@@ -45,41 +46,53 @@ pub(super) fn expose<T: Real>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, 
             ..view.clone()
         };
         let lens = Lens::new(&view)?;
-        let pieces: Vec<_> = stills
-            .par_iter()
-            .zip(chunks(count))
-            .map(|(stills, rows)| {
-                arch.dispatch(ProjectStills {
-                    splats: &splats,
-                    stills,
-                    moved: &moved,
-                    lens: &lens,
-                    rows,
+        looks.push((view, lens, moved));
+    }
+    // Samples side by side: what one does on a single thread, such as sorting, the others fill.
+    let samples: Vec<Sample<T>> = looks
+        .into_par_iter()
+        .map(|(view, lens, moved)| {
+            let pieces: Vec<_> = stills
+                .par_iter()
+                .zip(chunks(count))
+                .map(|(stills, rows)| {
+                    arch.dispatch(ProjectStills {
+                        splats: &splats,
+                        stills,
+                        moved: &moved,
+                        lens: &lens,
+                        rows,
+                    })
                 })
+                .collect();
+            let projection = in_depth_order(&view, lens, count, &pieces)?;
+            let (blended, raster) = blend(&projection, &[], COLORS);
+            Ok(Sample {
+                projection,
+                raster,
+                blended,
             })
-            .collect();
-        let projection = in_depth_order(&view, lens, count, &pieces)?;
-        for (largest, radius) in radii.iter_mut().zip(&projection.radii) {
+        })
+        .collect::<Result<_, SplatError>>()?;
+    for sample in &samples {
+        for (largest, radius) in radii.iter_mut().zip(&sample.projection.radii) {
             *largest = largest.max(*radius);
         }
-        let (blended, raster) = blend(&projection, &[], COLORS);
-        picture
-            .par_chunks_mut(BLOCKS * COLORS)
-            .zip(blended.par_chunks(BLOCKS * COLORS))
-            .for_each(|(sum, blended)| {
+    }
+    picture
+        .par_chunks_mut(BLOCKS * COLORS)
+        .enumerate()
+        .for_each(|(tile, sum)| {
+            let tile = tile * BLOCKS * COLORS..(tile + 1) * BLOCKS * COLORS;
+            for sample in &samples {
                 arch.dispatch(AddLight {
                     transfer: exposure.transfer,
                     weight: T::of(1.0 / n as f64),
-                    blended,
+                    blended: &sample.blended[tile.clone()],
                     sum,
                 });
-            });
-        samples.push(Sample {
-            projection,
-            raster,
-            blended,
+            }
         });
-    }
     picture
         .par_chunks_mut(BLOCKS * COLORS)
         .for_each(|light| arch.dispatch(Encode(exposure.transfer, light)));
