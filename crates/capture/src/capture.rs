@@ -6,7 +6,7 @@ use crate::motion::rotations;
 use crate::samples::Sample;
 
 /// Numbers of a rigid motion: a rotation vector (rad) and a translation (scene sizes), in the camera's axes.
-const RIGID: usize = 6;
+pub const RIGID: usize = 6;
 
 /// What a camera did while it took N frames: the tensors that can be trained, all of rank 2.
 ///

@@ -29,5 +29,5 @@ mod capture;
 mod motion;
 mod samples;
 
-pub use capture::Capture;
+pub use capture::{Capture, RIGID};
 pub use samples::{Sample, samples, samples_for};

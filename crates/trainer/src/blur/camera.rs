@@ -15,12 +15,10 @@ use crate::tensors::leaf;
 use crate::views::Views;
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use capture::{Capture, Sample, samples, samples_for};
+use capture::{Capture, RIGID, Sample, samples, samples_for};
 use splat_core::{Exposure, Movers, expose};
 use tracing::trace_span;
 
-/// Numbers of a rigid motion.
-const RIGID: usize = 6;
 /// From one frame's first direction to the next: no two are alike.
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 /// Moments between which a frame's samples and points are jittered, by irrational steps from iteration to iteration.

@@ -163,34 +163,14 @@ fn check_gradients(moving: &Moving<f64>, seed: u64) {
         ("left_rotations", |m| &mut m.left, &g.left_rotations),
     ];
     for (name, field, analytic) in inputs {
-        let (mut square, mut norm) = (0.0, 0.0);
-        for k in 0..analytic.len() {
-            let step = 1e-6;
-            let at = |delta: f64| {
-                let mut moved = moving.clone();
-                field(&mut moved)[k] += delta;
-                loss(&moved)
-            };
-            let (low, high) = (at(-step), at(step));
-            assert!(
-                (high - 2.0 * value + low).abs() / step < 0.05,
-                "entry {k} of {name} crosses a cut-off: take another seed"
-            );
-            let numeric = (high - low) / (2.0 * step);
-            square += (numeric - analytic[k]).powi(2);
-            norm += numeric * numeric;
-        }
-        let directed = moving.case.degree > 0 || name != "cam_from_world";
-        assert!(
-            analytic.is_empty() || !directed || norm > 0.0,
-            "gradient of {name} is zero: the check says nothing"
-        );
-        assert!(
-            // The differences themselves are rounded to some 1e-9.
-            square.sqrt() <= 1e-7 * norm.sqrt() + 1e-8,
-            "gradient of {name}: relative L2 error {:e}",
-            (square / norm).sqrt()
-        );
+        // Without bands over 0 no colour depends on where the middle is. The pose there counts for colours alone: its
+        // gradient is small against the rounding of the differences.
+        let undirected = moving.case.degree == 0 && name == "cam_from_world";
+        check_entries(name, analytic, value, [undirected, true], |k, delta| {
+            let mut moved = moving.clone();
+            field(&mut moved)[k] += delta;
+            loss(&moved)
+        });
     }
 }
 

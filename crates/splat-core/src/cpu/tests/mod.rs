@@ -207,3 +207,39 @@ fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len(), "lengths");
     a.iter().zip(b).fold(0.0, |m, (a, b)| m.max((a - b).abs()))
 }
+
+/// Every entry of an input's gradient against central differences; `at` is the loss where entry `k` is moved, `value` that
+/// where none is. The flags: the gradient may be zero everywhere; it may be off by the rounding of the differences too.
+fn check_entries(
+    name: &str,
+    analytic: &[f64],
+    value: f64,
+    [may_vanish, may_round]: [bool; 2],
+    at: impl Fn(usize, f64) -> f64,
+) {
+    let (mut square, mut norm) = (0.0, 0.0);
+    for k in 0..analytic.len() {
+        let step = 1e-6;
+        let (low, high) = (at(k, -step), at(k, step));
+        // Where a pixel crosses a cut-off, the loss jumps and the one-sided differences disagree
+        // by the jump divided by the step.
+        assert!(
+            (high - 2.0 * value + low).abs() / step < 0.05,
+            "entry {k} of {name} crosses a cut-off: take another seed"
+        );
+        let numeric = (high - low) / (2.0 * step);
+        square += (numeric - analytic[k]).powi(2);
+        norm += numeric * numeric;
+    }
+    assert!(
+        analytic.is_empty() || may_vanish || norm > 0.0,
+        "gradient of {name} is zero: the check says nothing"
+    );
+    // The differences themselves are rounded to some 1e-9.
+    let rounding = if may_round { 1e-8 } else { 0.0 };
+    assert!(
+        square.sqrt() <= 1e-7 * norm.sqrt() + rounding,
+        "gradient of {name}: relative L2 error {:e}",
+        (square / norm).sqrt()
+    );
+}

@@ -1,11 +1,12 @@
 //! Trials: a path that points in a wrong direction, or has shrunk to nothing, does not leave it by itself. A few times in a
 //! run every frame tries others, with the Gaussians as they are, and keeps what explains it best.
 
-use super::{CameraBlur, RIGID};
+use super::CameraBlur;
 use crate::TrainError;
 use crate::look::Look;
 use crate::tensors::{constant, host, leaf, tensor};
 use crate::world::World;
+use capture::RIGID;
 use tracing::trace_span;
 
 impl CameraBlur {
