@@ -278,10 +278,7 @@ mod tests {
             [3, 4],
         );
         let moments: Vec<Sample> = (0..=200)
-            .map(|k| Sample {
-                moment: f64::from(k) / 200.0 - 0.5,
-                lens: [0.0; 2],
-            })
+            .map(|k| Sample::through_the_middle(f64::from(k) / 200.0 - 0.5))
             .collect();
         let poses = values(&capture.poses(0, &given, &moments, SIZE));
         let places: Vec<_> = poses

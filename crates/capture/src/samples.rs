@@ -14,6 +14,17 @@ pub struct Sample {
     pub lens: [f64; 2],
 }
 
+impl Sample {
+    /// A moment as the lens' middle sees it.
+    #[must_use]
+    pub fn through_the_middle(moment: f64) -> Self {
+        Self {
+            moment,
+            lens: [0.0; 2],
+        }
+    }
+}
+
 /// `count` samples: one moment in each of as many equal parts of the exposure, and points that cover the disc evenly
 /// (Vogel's sunflower), paired so that early and late moments see all of the lens.
 ///
@@ -22,10 +33,7 @@ pub struct Sample {
 #[must_use]
 pub fn samples(count: usize, jitter: [f64; 2]) -> Vec<Sample> {
     if count == 1 {
-        return vec![Sample {
-            moment: 0.0,
-            lens: [0.0; 2],
-        }];
+        return vec![Sample::through_the_middle(0.0)];
     }
     let stride = coprime_stride(count);
     let offset = balanced_offset(count, stride);

@@ -6,7 +6,7 @@ use crate::outputs;
 use io::Scene;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use trainer::Run;
+use trainer::{Run, Shot};
 
 /// Arguments of `limpid render`.
 #[derive(Debug, clap::Args)]
@@ -25,6 +25,22 @@ pub(crate) struct RenderArguments {
     /// Write the scene at every training frame as a numbered PLY sequence (`ply/frame_0000.ply` …) instead of pictures.
     #[arg(long)]
     ply_sequence: bool,
+    /// Take a picture at this time (training frames, may be fractional), from where the camera was then, instead of all
+    /// pictures; may be given more than once. Sharp unless --shutter or --aperture says otherwise.
+    #[arg(long, value_name = "TIME", conflicts_with_all = ["ply_at", "ply_sequence"])]
+    at: Vec<f32>,
+    /// With --at: the shutter is open for so many training frames.
+    #[arg(long, value_name = "FRAMES", requires = "at", default_value_t = 0.0)]
+    shutter: f64,
+    /// With --at: radius of the lens in scene units.
+    #[arg(long, value_name = "RADIUS", requires = "at", default_value_t = 0.0)]
+    aperture: f64,
+    /// With --at: depth that is in focus, in scene units [default: the scene's size].
+    #[arg(long, value_name = "DEPTH", requires = "at")]
+    focus: Option<f64>,
+    /// With --at: renders that a blurred picture is averaged from.
+    #[arg(long, value_name = "N", requires = "at", default_value_t = 64)]
+    samples: usize,
 }
 
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
@@ -35,7 +51,21 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
         .clone()
         .unwrap_or_else(|| arguments.run.join("renders"));
     std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
-    if arguments.ply_at.is_empty() && !arguments.ply_sequence {
+    for &time in &arguments.at {
+        let shot = Shot {
+            time,
+            shutter: arguments.shutter,
+            aperture: arguments.aperture,
+            focus: arguments.focus.unwrap_or(run.survey().scene_size),
+            samples: arguments.samples,
+        };
+        io::write_png(
+            &out.join(format!("at_{time}.png")),
+            &run.render_shot(&shot)?,
+        )?;
+    }
+    let pictures = arguments.at.is_empty() && arguments.ply_at.is_empty();
+    if pictures && !arguments.ply_sequence {
         let scene = frames(&run, &config, arguments.scene.as_deref())?;
         outputs::write_renders(&run, scene.as_ref(), &out)?;
     }

@@ -17,6 +17,7 @@ use crate::settings::{BlurKind, Settings};
 use crate::views::Views;
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor};
+use glam::DAffine3;
 use kernels::{KernelSums, KernelTrace};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -105,6 +106,20 @@ impl BlurModel {
                 Ok(shown.map(|trace| Trace::Kernels(Box::new(trace))))
             }
             Self::Camera(camera) => Ok(camera.show(world, look)?.map(Trace::Camera)),
+        }
+    }
+
+    /// Where the camera was in a frame of the given pose at moments from -1/2 to 1/2 of its exposure, and how long after the
+    /// frame's own time that was, in units of frames; `None` where the model does not know.
+    pub(crate) fn taken(
+        &self,
+        frame: usize,
+        given: &DAffine3,
+        moments: impl Iterator<Item = f64>,
+    ) -> Option<Vec<(f64, DAffine3)>> {
+        match self {
+            Self::Off | Self::Kernels(_) => None,
+            Self::Camera(camera) => Some(camera.taken(frame, given, moments)),
         }
     }
 

@@ -86,6 +86,12 @@ pub enum TrainError {
         /// Where in it.
         problem: crate::adam::NonFiniteGradient,
     },
+    /// A picture cannot be taken like this.
+    #[error("the picture cannot be taken: {problem}")]
+    Shot {
+        /// What is allowed.
+        problem: &'static str,
+    },
     /// All iterations are done.
     #[error(
         "all {iterations} iterations are done; raise `iterations` in a new run to train for longer"

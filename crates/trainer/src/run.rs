@@ -148,7 +148,7 @@ impl Run {
     }
 }
 
-fn to_image(picture: Tensor<3>) -> Image {
+pub(crate) fn to_image(picture: Tensor<3>) -> Image {
     let [height, width, _] = picture.dims();
     Image {
         width,

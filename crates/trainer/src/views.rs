@@ -26,11 +26,15 @@ fn write_pose<S: Serializer>(pose: &DAffine3, serializer: S) -> Result<S::Ok, S:
 }
 
 fn read_pose<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DAffine3, D::Error> {
-    let r = <[f64; 12]>::deserialize(deserializer)?;
-    Ok(DAffine3 {
+    Ok(pose_of(&<[f64; 12]>::deserialize(deserializer)?))
+}
+
+/// The pose whose rows [R | t] are these; see [`pose_rows`].
+pub(crate) fn pose_of(r: &[f64; 12]) -> DAffine3 {
+    DAffine3 {
         matrix3: DMat3::from_cols_array(&[r[0], r[4], r[8], r[1], r[5], r[9], r[2], r[6], r[10]]),
         translation: DVec3::new(r[3], r[7], r[11]),
-    })
+    }
 }
 
 /// The views of a scene, as far as rendering needs them.

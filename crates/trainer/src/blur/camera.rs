@@ -11,12 +11,13 @@ use crate::TrainError;
 use crate::look::{Look, Shown, Terms, render_posed};
 use crate::parameter::{Group, Parameter};
 use crate::settings::{CameraSettings, Settings};
-use crate::tensors::leaf;
-use crate::views::Views;
+use crate::tensors::{host, leaf};
+use crate::views::{Views, pose_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use capture::{Capture, RIGID, Sample, samples, samples_for};
-use splat_core::{Exposure, Movers, expose};
+use glam::DAffine3;
+use splat_core::{Exposure, Movers, expose, pose_rows};
 use tracing::trace_span;
 
 /// From one frame's first direction to the next: no two are alike.
@@ -190,6 +191,25 @@ impl CameraBlur {
             ..
         } = self.settings;
         samples_for(blur_px, disc_px, spacing_px, samples).max(LEAST_SAMPLES)
+    }
+
+    /// See [`super::BlurModel::taken`].
+    pub(super) fn taken(
+        &self,
+        frame: usize,
+        given: &DAffine3,
+        moments: impl Iterator<Item = f64>,
+    ) -> Vec<(f64, DAffine3)> {
+        let taken: Vec<Sample> = moments.map(Sample::through_the_middle).collect();
+        let options = (&self.capture.paths.device(), self.capture.paths.dtype());
+        let given =
+            Tensor::<2>::from_data(TensorData::new(pose_rows(given).to_vec(), [3, 4]), options);
+        let poses = self.capture.poses(frame, &given, &taken, self.scene_size);
+        let times = host(self.capture.moments(&taken).detach());
+        let rows = host(poses.detach());
+        let poses = rows.as_chunks::<12>().0.iter();
+        let poses = poses.map(|rows| pose_of(&rows.map(f64::from)));
+        times.into_iter().map(f64::from).zip(poses).collect()
     }
 
     /// See [`super::BlurModel::between`].
