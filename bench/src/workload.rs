@@ -151,13 +151,16 @@ impl Workload {
         };
         settings.gaussians.sh_degree_every = 1;
         settings.gaussians.control_from = 40_000;
-        settings.blur.enabled = self.blur != Blur::Off;
+        settings.blur.model = match self.blur {
+            Blur::Off => BlurKind::Off,
+            Blur::Camera => BlurKind::Camera,
+            Blur::Trained | Blur::Frozen | Blur::Half => BlurKind::Kernels,
+        };
         settings.blur.kernel_size = self.kernel_size;
         settings.blur.hold = 0;
         settings.blur.downscale = if self.blur == Blur::Half { 2 } else { 1 };
         settings.blur.train_extractor = self.blur != Blur::Frozen;
         if self.blur == Blur::Camera {
-            settings.blur.model = BlurKind::Camera;
             settings.camera.samples = SAMPLES;
             // Far more than are allowed, for a path of two pixels.
             settings.camera.spacing_px = 0.05;

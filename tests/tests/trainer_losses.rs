@@ -3,7 +3,8 @@
 use burn::tensor::{DType, Tensor};
 use limpid_tests::{GradLimits, check_gradients, devices, in_pool, tensor, unit_noise, values};
 use trainer::losses::{
-    depth_loss, downsample_loss, intensity_penalty, mask_band, mask_loss, photometric, ssim,
+    depth_loss, detail_loss, downsample_loss, intensity_penalty, mask_band, mask_loss, photometric,
+    ssim,
 };
 use trainer::metrics::{LARGEST_PSNR, masked_psnr, psnr_of};
 
@@ -137,7 +138,32 @@ fn gradients_of_the_picture_losses() {
         check(&|a| photometric(a, target.clone(), 0.0));
         check(&|a| photometric(a, target.clone(), 0.2));
         check(&|a| downsample_loss(a, target.clone(), 4));
+        check(&|a| detail_loss(a, target.clone()));
         check(&|a| intensity_penalty(a * 2.0));
+    }
+}
+
+#[test]
+fn fine_detail_is_what_differs_from_the_pixels_around_it() {
+    for (name, device) in devices() {
+        let picture = |f: &dyn Fn(usize, usize) -> f64| {
+            let values: Vec<f64> = (0..6 * 9).flat_map(|k| [f(k / 9, k % 9); 3]).collect();
+            tensor(&values, [6, 9, 3], &device, DType::F64)
+        };
+        let zero = picture(&|_, _| 0.0);
+        let of = |picture: Tensor<3>| scalar(detail_loss(picture, zero.clone()));
+        // A slope has none; a checkerboard of ±0.3 stands out by 0.6 against its neighbours, and by nothing two pixels away.
+        assert!(
+            of(picture(&|v, u| 0.1 * v as f64 - 0.2 * u as f64)) < 1e-12,
+            "{name}"
+        );
+        let board = picture(&|v, u| if (u + v) % 2 == 0 { 0.3 } else { -0.3 });
+        assert!((of(board) - 0.6).abs() < 1e-12, "{name}");
+        // Stripes two pixels wide stand out by 0.15 where their neighbour along the row is the other stripe, and by 0.3 two away.
+        let stripes = picture(&|_, u| if u / 2 % 2 == 0 { 0.3 } else { -0.3 });
+        assert!((of(stripes) - 0.15 - 0.3).abs() < 1e-12, "{name}");
+        let one = tensor(&[0.5; 3], [1, 1, 3], &device, DType::F64);
+        assert_eq!(scalar(detail_loss(one.clone(), one * 3.0)), 0.0, "{name}");
     }
 }
 

@@ -5,6 +5,7 @@ use io::Scene;
 use limpid_tests::tiny::{camera, pose, scene, settings};
 use limpid_tests::{devices, in_pool, with_causes};
 use splat_core::{Extra, Splats, Viewpoint, render};
+use trainer::settings::BlurKind;
 use trainer::{BlurModel, Trainer};
 
 /// The bits of all parameters, and the losses, after `steps` iterations.
@@ -209,7 +210,7 @@ fn a_mover_that_fills_the_view_leaves_nothing_static_and_trains() {
 #[test]
 fn dynamic_densification_finds_room_under_the_limit() {
     let mut settings = settings();
-    settings.blur.enabled = false;
+    settings.blur.model = BlurKind::Off;
     settings.gaussians.initial_static_per_pixel = 6.0;
     settings.gaussians.gradient_threshold = 1e-12;
     settings.motion.densify_at = 16_000;
@@ -234,7 +235,7 @@ fn dynamic_densification_finds_room_under_the_limit() {
 fn a_static_scene_without_blur_models_neither() {
     let still = still_scene();
     let mut settings = settings();
-    settings.blur.enabled = false;
+    settings.blur.model = BlurKind::Off;
     let mut trainer = Trainer::new(still, settings, &Device::flex()).expect("a trainer");
     assert!(trainer.model().world.motion.is_none());
     assert!(matches!(trainer.model().blur, BlurModel::Off));

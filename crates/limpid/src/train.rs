@@ -32,8 +32,8 @@ pub(crate) struct TrainArguments {
     /// Make pictures smaller by this factor.
     #[arg(long, value_name = "F")]
     downscale: Option<usize>,
-    /// What explains blur [default: on, which is kernels].
-    #[arg(long, value_name = "on|off|kernels|camera")]
+    /// What explains blur [default: auto].
+    #[arg(long)]
     blur: Option<Blur>,
     /// Take the training frames from this folder of the scene.
     #[arg(long, value_name = "DIR")]
@@ -66,7 +66,9 @@ pub(crate) struct TrainArguments {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Blur {
-    /// The default model.
+    /// The camera where frames differ in sharpness, nothing where they do not.
+    Auto,
+    /// The camera.
     On,
     /// Nothing: frames are taken to be sharp.
     Off,
@@ -77,14 +79,15 @@ enum Blur {
 }
 
 impl Blur {
-    /// The value of `blur.model`, where it names one.
-    fn model(self) -> Option<Value> {
+    /// The value of `blur.model`.
+    fn model(self) -> Value {
         let name = match self {
-            Self::On | Self::Off => return None,
+            Self::Auto => "auto",
+            Self::Off => "off",
             Self::Kernels => "kernels",
-            Self::Camera => "camera",
+            Self::On | Self::Camera => "camera",
         };
-        Some(Value::String(name.to_owned()))
+        Value::String(name.to_owned())
     }
 }
 
@@ -222,11 +225,7 @@ impl TrainArguments {
                 self.seed
                     .map(|s| Value::Integer(i64::try_from(s).unwrap_or(i64::MAX))),
             ),
-            (
-                "blur.enabled",
-                self.blur.map(|b| Value::Boolean(b != Blur::Off)),
-            ),
-            ("blur.model", self.blur.and_then(Blur::model)),
+            ("blur.model", self.blur.map(Blur::model)),
         ];
         for (key, value) in flags {
             if let Some(value) = value {

@@ -14,6 +14,7 @@ use crate::TrainError;
 use crate::look::{self, Look, render_sharp};
 use crate::parameter::{Group, Parameter};
 use crate::settings::{BlurKind, Settings};
+use crate::survey::Survey;
 use crate::views::Views;
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor};
@@ -49,20 +50,20 @@ impl BlurModel {
     /// The model that the settings ask for, untrained.
     pub(crate) fn new(
         settings: &Settings,
-        scene_size: f64,
+        survey: &Survey,
         views: &Views,
         options: (&Device, DType),
     ) -> Result<Self, TrainError> {
-        if !settings.blur.enabled {
-            return Ok(Self::Off);
-        }
+        let size = survey.scene_size;
         Ok(match settings.blur.model {
+            BlurKind::Off => Self::Off,
+            BlurKind::Auto if !survey.blurred => Self::Off,
             BlurKind::Kernels => {
-                let kernels = Kernels::new(settings, scene_size, views, options)?;
+                let kernels = Kernels::new(settings, size, views, options)?;
                 Self::Kernels(Box::new(kernels))
             }
-            BlurKind::Camera => {
-                let camera = CameraBlur::new(settings, scene_size, views, options);
+            BlurKind::Auto | BlurKind::Camera => {
+                let camera = CameraBlur::new(settings, size, views, options);
                 Self::Camera(Box::new(camera))
             }
         })

@@ -165,8 +165,8 @@ impl Run {
             motion,
         };
         check_world(&world, &header)?;
-        let size = header.survey.scene_size;
-        let mut blur = BlurModel::new(&header.settings, size, &header.views, (&device, DType::F32))
+        let (settings, survey) = (&header.settings, &header.survey);
+        let mut blur = BlurModel::new(settings, survey, &header.views, (&device, DType::F32))
             .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
         for (parameter, tensor) in blur.parameters_mut() {
             let read = leaf(&parameter.name)?;

@@ -55,6 +55,7 @@ mod population;
 mod random;
 mod run;
 mod scores;
+mod sharpness;
 mod shot;
 mod state;
 mod step;

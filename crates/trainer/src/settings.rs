@@ -202,6 +202,8 @@ pub struct LossSettings {
     pub intensity: f64,
     /// The gauge on the kernels' common shift.
     pub gauge: f64,
+    /// Fine detail of what the camera is said to have seen against the frame; where the camera explains blur.
+    pub detail: f64,
     /// Four times smaller sharp render against the blurry frame.
     pub downsample: f64,
     /// The downsample loss starts so many iterations (of 40,000) after blur.
@@ -224,6 +226,7 @@ impl Default for LossSettings {
             kernel_center_from: 5500,
             intensity: 0.0,
             gauge: 0.1,
+            detail: 1.0,
             downsample: 0.0,
             downsample_after: 1000,
             bases_acceleration: 0.1,
@@ -315,7 +318,7 @@ impl Default for LearningRates {
 }
 
 impl Settings {
-    /// The paper's text where it differs from the defaults: motion and blur learn at constant rates, no
+    /// The paper's text where it differs from the defaults: kernels in the place of the camera; motion and blur learn at constant rates, no
     /// hold, no gauge, the blur model's head as a framework initialises it (the paper says nothing about it).
     #[must_use]
     pub fn paper() -> Self {
@@ -323,6 +326,7 @@ impl Settings {
         settings.learning_rates.motion_final_share = 1.0;
         settings.learning_rates.blur_final_share = 1.0;
         settings.learning_rates.blur_short_run_share = 1.0;
+        settings.blur.model = BlurKind::Kernels;
         settings.blur.hold = 0;
         settings.blur.mild_start = false;
         settings.loss.gauge = 0.0;

@@ -1,6 +1,7 @@
 //! Looks at a scene before training: its size, its depth against the sparse points, and what there is to model.
 
 use crate::error::{SceneProblem, TrainError};
+use crate::sharpness::{is_blurred, sharpness_change};
 use io::{Frame, Map, Scene, SparsePoint};
 use serde::{Deserialize, Serialize};
 
@@ -13,6 +14,10 @@ pub struct Survey {
     pub movers: bool,
     /// There is depth for at least one frame.
     pub depth: bool,
+    /// Median change of the fine contrast from a frame to the next, as a factor's logarithm; `None` where that cannot be told.
+    pub sharpness_change: Option<f64>,
+    /// Frames differ more in sharpness than those of a sharp video do, or it cannot be told.
+    pub blurred: bool,
     /// What was decided and why, for people.
     pub notes: Vec<String>,
 }
@@ -91,10 +96,13 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         (true, false, _) => "masks without tracks: the scene is modelled as static".to_owned(),
         (false, ..) => "no movers: no motion bases".to_owned(),
     });
+    let sharpness_change = sharpness_change(&scene.frames);
     Ok(Survey {
         scene_size,
         movers,
         depth,
+        sharpness_change,
+        blurred: sharpness_change.is_none_or(is_blurred),
         notes,
     })
 }

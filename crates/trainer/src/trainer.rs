@@ -13,7 +13,7 @@ use crate::random::{Purpose, generator, permutation};
 use crate::run::Run;
 use crate::schedule::Schedule;
 use crate::scores::Evaluation;
-use crate::settings::Settings;
+use crate::settings::{BlurKind, Settings};
 use crate::state::State;
 use crate::survey::{Survey, survey};
 use crate::tensors::tensor;
@@ -40,6 +40,24 @@ pub(crate) struct Data {
     /// The scene, its depth aligned to the sparse points.
     pub(crate) scene: Scene,
     pub(crate) unseen: Vec<UnseenView>,
+}
+
+/// Why blur is modelled or not, where that is left to the survey.
+fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
+    if settings.blur.model != BlurKind::Auto {
+        return None;
+    }
+    let percent = survey.sharpness_change.map(|c| 100.0 * c.exp_m1());
+    Some(match percent {
+        None => "too few frames to tell whether they are blurred: blur is modelled".to_owned(),
+        Some(percent) if survey.blurred => {
+            format!("fine contrast changes by {percent:.0} % from frame to frame: blur is modelled")
+        }
+        Some(percent) => format!(
+            "fine contrast changes by {percent:.1} % from frame to frame, as in a sharp video: no blur model \
+             (`blur.model = \"camera\"` has one all the same)"
+        ),
+    })
 }
 
 impl Trainer {
@@ -107,8 +125,9 @@ impl Trainer {
                 num_dynamic,
                 motion,
             },
-            blur: BlurModel::new(&settings, size, &views, (&device, dtype))?,
+            blur: BlurModel::new(&settings, &survey, &views, (&device, dtype))?,
         };
+        survey.notes.extend(blur_note(&settings, &survey));
         let unseen = unseen_views(&scene, &views, &settings, size)?;
         if settings.unseen.enabled && survey.depth {
             survey.notes.push(format!("{} unseen views", unseen.len()));

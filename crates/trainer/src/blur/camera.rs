@@ -9,6 +9,7 @@ pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 
 use crate::TrainError;
 use crate::look::{Look, Shown, Terms, render_posed};
+use crate::losses::detail_loss;
 use crate::parameter::{Group, Parameter};
 use crate::settings::{CameraSettings, Settings};
 use crate::tensors::{host, leaf};
@@ -34,6 +35,8 @@ const TRIALS: [f64; 4] = [0.133, 0.233, 0.333, 0.467];
 pub struct CameraBlur {
     capture: Capture,
     settings: CameraSettings,
+    /// Weight of the fine detail in the loss.
+    detail: f64,
     moments: Moments,
     /// Focal length of each frame, px.
     focal: Vec<f64>,
@@ -92,6 +95,7 @@ impl CameraBlur {
         let mut model = Self {
             capture,
             settings: camera.clone(),
+            detail: settings.loss.detail,
             moments: Moments {
                 from: 250.min(n / 4),
                 trials: TRIALS.iter().map(|s| (s * n as f64) as usize).collect(),
@@ -138,10 +142,7 @@ impl CameraBlur {
         let trace = Some(CameraTrace { view });
         if count == 1 {
             let rendered = render_posed(posed, &viewpoint, look.screen_grad.clone())?;
-            return Ok(Shown {
-                trace,
-                ..Shown::sharp(rendered)
-            });
+            return Ok(self.with_terms(look, Shown::sharp(rendered), trace));
         }
         let taken = samples(count, self.jitter(look));
         let exposure = Exposure {
@@ -152,13 +153,32 @@ impl CameraBlur {
         let splats = posed.splats.clone();
         let rendered = render_posed(posed, &viewpoint, None)?;
         let exposed = expose(splats, &viewpoint, exposure, look.screen_grad.clone())?;
-        Ok(Shown {
+        let shown = Shown {
             seen: exposed.color,
             radii: exposed.radii,
-            rendered,
-            terms: Terms::default(),
+            ..Shown::sharp(rendered)
+        };
+        Ok(self.with_terms(look, shown, trace))
+    }
+
+    /// What is shown with the model's own terms of the loss.
+    fn with_terms(
+        &self,
+        look: &Look<'_>,
+        shown: Shown<CameraTrace>,
+        trace: Option<CameraTrace>,
+    ) -> Shown<CameraTrace> {
+        let mut terms = Terms::default();
+        if let Some(view) = look.view {
+            terms.add("detail", self.detail, || {
+                detail_loss(shown.seen.clone(), shown.target(view))
+            });
+        }
+        Shown {
+            terms,
             trace,
-        })
+            ..shown
+        }
     }
 
     /// Training sees other moments and points of the lens in each iteration; pictures always the same.

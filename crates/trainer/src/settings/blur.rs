@@ -6,20 +6,22 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BlurKind {
-    /// The paper's: BP-Net predicts a kernel and an intensity for every pixel.
+    /// The camera where frames differ in sharpness, nothing where they do not.
     #[default]
+    Auto,
+    /// Nothing: frames are taken to be sharp.
+    Off,
+    /// The paper's: BP-Net predicts a kernel and an intensity for every pixel.
     Kernels,
     /// The camera itself: its path while the shutter is open, and its lens.
     Camera,
 }
 
-/// The blur model; all but the first two are those of BP-Net.
+/// The blur model; all but the first are those of BP-Net.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BlurSettings {
-    /// Whether blur is modelled.
-    pub enabled: bool,
-    /// By what.
+    /// What explains blur.
     pub model: BlurKind,
     /// Side K of the blur kernels, odd, 1 to 15.
     pub kernel_size: usize,
@@ -42,8 +44,7 @@ pub struct BlurSettings {
 impl Default for BlurSettings {
     fn default() -> Self {
         Self {
-            enabled: true,
-            model: BlurKind::Kernels,
+            model: BlurKind::Auto,
             kernel_size: 9,
             from: 3500,
             hold: 200,

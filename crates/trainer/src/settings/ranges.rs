@@ -113,6 +113,7 @@ impl Settings {
             (w.kernel_center, "loss.kernel_center"),
             (w.intensity, "loss.intensity"),
             (w.gauge, "loss.gauge"),
+            (w.detail, "loss.detail"),
             (w.downsample, "loss.downsample"),
             (w.bases_acceleration, "loss.bases_acceleration"),
             (w.means_acceleration, "loss.means_acceleration"),
