@@ -63,7 +63,7 @@ impl BlurModel {
                 Self::Kernels(Box::new(kernels))
             }
             BlurKind::Auto | BlurKind::Camera => {
-                let camera = CameraBlur::new(settings, size, views, options);
+                let camera = CameraBlur::new(settings, survey, views, options);
                 Self::Camera(Box::new(camera))
             }
         })

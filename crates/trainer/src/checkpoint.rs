@@ -29,7 +29,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// Version of the file's layout; others are refused.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// Name of the file in a checkpoint's folder.
 pub const FILE_NAME: &str = "state.safetensors";

@@ -153,12 +153,25 @@ impl Default for MotionSettings {
     }
 }
 
+/// When unseen views are used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum UnseenUse {
+    /// Unless the camera explains blur: warping blurs a frame once more, which no camera did.
+    #[default]
+    Auto,
+    /// Always.
+    Always,
+    /// Never.
+    Never,
+}
+
 /// Unseen views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnseenSettings {
-    /// Whether unseen views are used.
-    pub enabled: bool,
+    /// When unseen views are used.
+    pub when: UnseenUse,
     /// Unseen views start after this iteration (of 40,000).
     pub from: usize,
     /// Every so many iterations is an unseen view (paper, N_u; not scaled).
@@ -174,7 +187,7 @@ pub struct UnseenSettings {
 impl Default for UnseenSettings {
     fn default() -> Self {
         Self {
-            enabled: true,
+            when: UnseenUse::Auto,
             from: 3000,
             every: 5,
             offset: 0.05,

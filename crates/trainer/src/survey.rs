@@ -10,6 +10,8 @@ use serde::{Deserialize, Serialize};
 pub struct Survey {
     /// Scene size S: the median z-depth over the training pixels (without depth: over the sparse points), in scene units.
     pub scene_size: f64,
+    /// Depths between which 90 % of the same lie, near and far, scene units.
+    pub depth_range: [f64; 2],
     /// There are masks that show movers, and tracks that say how they move.
     pub movers: bool,
     /// There is depth for at least one frame.
@@ -77,7 +79,8 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
     if depths.is_empty() {
         return Err(SceneProblem::NoDepth.into());
     }
-    let scene_size = f64::from(median(&mut depths));
+    let [scene_size, near, far] =
+        [0.5, 0.05, 0.95].map(|share| f64::from(quantile(&mut depths, share)));
     let masked = scene
         .frames
         .iter()
@@ -99,6 +102,7 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
     let sharpness_change = sharpness_change(&scene.frames);
     Ok(Survey {
         scene_size,
+        depth_range: [near, far],
         movers,
         depth,
         sharpness_change,
@@ -107,10 +111,11 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
     })
 }
 
-/// The median; of an even number of values the upper one. Values are reordered.
-pub(crate) fn median(values: &mut [f32]) -> f32 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+/// The value above a share of all, of which there is at least one. Values are reordered.
+fn quantile(values: &mut [f32], share: f64) -> f32 {
+    let rank = (share * values.len() as f64) as usize;
+    let rank = rank.min(values.len() - 1);
+    *values.select_nth_unstable_by(rank, f32::total_cmp).1
 }
 
 fn sparse_depths(scene: &Scene) -> Vec<f32> {

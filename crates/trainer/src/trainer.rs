@@ -128,8 +128,8 @@ impl Trainer {
             blur: BlurModel::new(&settings, &survey, &views, (&device, dtype))?,
         };
         survey.notes.extend(blur_note(&settings, &survey));
-        let unseen = unseen_views(&scene, &views, &settings, size)?;
-        if settings.unseen.enabled && survey.depth {
+        let unseen = unseen_views(&scene, &views, &settings, &model.blur, size)?;
+        if !unseen.is_empty() {
             survey.notes.push(format!("{} unseen views", unseen.len()));
         }
         let plan = Plan {
@@ -163,7 +163,13 @@ impl Trainer {
         }
         run.plan.views.test = run.plan.views_of(&scene).test;
         let plan = &run.plan;
-        let unseen = unseen_views(&scene, &plan.views, &plan.settings, trained)?;
+        let unseen = unseen_views(
+            &scene,
+            &plan.views,
+            &plan.settings,
+            &run.state.model.blur,
+            trained,
+        )?;
         if plan.schedule.unseen_from.is_some() == unseen.is_empty() {
             let found = unseen.len();
             return Err(OtherScene::UnseenViews { found }.into());

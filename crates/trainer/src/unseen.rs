@@ -1,9 +1,10 @@
 //! The unseen views of a run, which the paper adds to the training frames: frames warped between two cameras (parallel to the
 //! path) and beside it (perpendicular).
 
+use crate::blur::BlurModel;
 use crate::error::{SceneProblem, TrainError};
 use crate::random::{Purpose, generator, unit};
-use crate::settings::Settings;
+use crate::settings::{Settings, UnseenUse};
 use crate::views::{CameraView, UnseenView, Views};
 use io::Scene;
 use rayon::prelude::*;
@@ -17,9 +18,15 @@ pub(crate) fn unseen_views(
     scene: &Scene,
     views: &Views,
     settings: &Settings,
+    blur: &BlurModel,
     scene_size: f64,
 ) -> Result<Vec<UnseenView>, TrainError> {
-    if !settings.unseen.enabled {
+    let used = match settings.unseen.when {
+        UnseenUse::Always => true,
+        UnseenUse::Never => false,
+        UnseenUse::Auto => !matches!(blur, BlurModel::Camera(_)),
+    };
+    if !used {
         return Ok(Vec::new());
     }
     let options = WarpOptions {

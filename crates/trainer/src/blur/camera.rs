@@ -12,7 +12,8 @@ use crate::look::{Look, Shown, Terms, render_posed};
 use crate::losses::detail_loss;
 use crate::parameter::{Group, Parameter};
 use crate::settings::{CameraSettings, Settings};
-use crate::tensors::{host, leaf};
+use crate::survey::Survey;
+use crate::tensors::{constant, host, leaf};
 use crate::views::{Views, pose_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
@@ -27,8 +28,10 @@ const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 const JITTER: [f64; 2] = [0.618_033_988_75, 0.754_877_666_2];
 /// A frame that is blurred at all is averaged from so many renders or more.
 const LEAST_SAMPLES: usize = 3;
-/// Shares of a run after which every frame tries other paths.
-const TRIALS: [f64; 4] = [0.133, 0.233, 0.333, 0.467];
+/// Shares of a run, counted from the start of blur, after which other paths and none are tried on every frame…
+const TRIALS: [f64; 4] = [0.055, 0.165, 0.275, 0.42];
+/// … and how often at least every frame has been seen between two of them.
+const VISITS: usize = 5;
 
 /// Path, lens and pose of every frame, and when and how they are used.
 #[derive(Clone, Debug)]
@@ -42,6 +45,8 @@ pub struct CameraBlur {
     focal: Vec<f64>,
     /// Scene size S, scene units.
     scene_size: f64,
+    /// Depths between which most of the scene lies, near and far, scene units: discs are measured there.
+    depth_range: [f64; 2],
 }
 
 /// Iterations after which something begins.
@@ -53,6 +58,21 @@ struct Moments {
     trials: Vec<usize>,
 }
 
+impl Moments {
+    /// Of a run of n iterations on so many frames.
+    fn new(n: usize, num_frames: usize) -> Self {
+        let from = 250.min(n / 4);
+        let trial = |(k, share): (usize, &f64)| {
+            let visited = (k + 1) * VISITS * num_frames;
+            from + visited.max((share * (n - from) as f64) as usize)
+        };
+        Self {
+            from,
+            trials: TRIALS.iter().enumerate().map(trial).collect(),
+        }
+    }
+}
+
 /// What it keeps of a view that it showed.
 #[derive(Clone, Debug)]
 pub(crate) struct CameraTrace {
@@ -62,7 +82,7 @@ pub(crate) struct CameraTrace {
 impl CameraBlur {
     pub(super) fn new(
         settings: &Settings,
-        scene_size: f64,
+        survey: &Survey,
         views: &Views,
         (device, dtype): (&Device, DType),
     ) -> Self {
@@ -96,12 +116,10 @@ impl CameraBlur {
             capture,
             settings: camera.clone(),
             detail: settings.loss.detail,
-            moments: Moments {
-                from: 250.min(n / 4),
-                trials: TRIALS.iter().map(|s| (s * n as f64) as usize).collect(),
-            },
+            moments: Moments::new(n, focal.len()),
             focal,
-            scene_size,
+            scene_size: survey.scene_size,
+            depth_range: survey.depth_range,
         };
         for (_, tensor) in model.parameters_mut() {
             *tensor = tensor.clone().require_grad();
@@ -139,14 +157,15 @@ impl CameraBlur {
             view = self.with_spots(frame, view);
         }
         let count = view.frame.samples;
-        let trace = Some(CameraTrace { view });
+        let trace = CameraTrace { view };
         if count == 1 {
             let rendered = render_posed(posed, &viewpoint, look.screen_grad.clone())?;
             return Ok(self.with_terms(look, Shown::sharp(rendered), trace));
         }
         let taken = samples(count, self.jitter(look));
+        let capture = self.learned(&trace);
         let exposure = Exposure {
-            poses: self.capture.poses(frame, &given, &taken, self.scene_size),
+            poses: capture.poses(frame, &given, &taken, self.scene_size),
             movers: self.movers(world, look.viewpoint.time, &taken),
             transfer: self.settings.transfer.into(),
         };
@@ -166,7 +185,7 @@ impl CameraBlur {
         &self,
         look: &Look<'_>,
         shown: Shown<CameraTrace>,
-        trace: Option<CameraTrace>,
+        trace: CameraTrace,
     ) -> Shown<CameraTrace> {
         let mut terms = Terms::default();
         if let Some(view) = look.view {
@@ -176,9 +195,22 @@ impl CameraBlur {
         }
         Shown {
             terms,
-            trace,
+            trace: Some(trace),
             ..shown
         }
+    }
+
+    /// The capture as a view learns from it: what trials left out altogether stays out.
+    fn learned(&self, trace: &CameraTrace) -> Capture {
+        let mut capture = self.capture.clone();
+        if trace.view.frame.blur_px == 0.0 {
+            capture.paths = constant(&capture.paths);
+        }
+        if trace.view.aperture == 0.0 {
+            capture.aperture = constant(&capture.aperture);
+            capture.focus = constant(&capture.focus);
+        }
+        capture
     }
 
     /// Training sees other moments and points of the lens in each iteration; pictures always the same.
@@ -284,5 +316,26 @@ impl CameraBlur {
             ));
         }
         all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_seen_between_trials_in_short_runs_too() {
+        for (n, frames) in [(200, 6), (1200, 16), (3000, 24), (40_000, 300)] {
+            let moments = Moments::new(n, frames);
+            let mut before = moments.from;
+            for trial in moments.trials {
+                assert!(
+                    trial - before >= VISITS * frames,
+                    "{n}: {trial} after {before}"
+                );
+                before = trial;
+            }
+        }
+        assert_eq!(Moments::new(3000, 24).trials, [401, 703, 1006, 1405]);
     }
 }

@@ -63,7 +63,7 @@ impl Default for BlurSettings {
 pub struct CameraSettings {
     /// Whether the camera moves while its shutter is open.
     pub path: bool,
-    /// Whether it has a lens with an aperture and a focus. Beside a path it dies: the two explain each other's blur.
+    /// Whether it has a lens with an aperture and a focus.
     pub lens: bool,
     /// Whether the given poses are refined. Where they are right, that costs two decibels: paths and offsets drift
     /// against each other.
@@ -78,7 +78,7 @@ pub struct CameraSettings {
     pub transfer: TransferKind,
     /// Length of every path at the start, in pixels of a picture 256 wide.
     pub start_px: f64,
-    /// Radius of the lens at the start, in units of S.
+    /// Radius of the lens at the start, in units of S. It is held until every frame has found its focus and a path.
     pub aperture: f64,
     /// Time for which the shutter is open at the start, in units of frames.
     pub shutter: f64,
@@ -88,14 +88,14 @@ impl Default for CameraSettings {
     fn default() -> Self {
         Self {
             path: true,
-            lens: false,
+            lens: true,
             offsets: false,
             path_degree: 2,
             samples: 8,
             spacing_px: 0.75,
             transfer: TransferKind::Srgb,
             start_px: 2.0,
-            aperture: 0.01,
+            aperture: 0.0125,
             shutter: 0.6,
         }
     }

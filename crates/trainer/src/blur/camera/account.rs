@@ -5,8 +5,6 @@ use crate::tensors::host;
 use burn::tensor::Tensor;
 use capture::samples;
 
-/// Disparities (S / depth) between which most of a scene lies; discs are measured there.
-const DISPARITIES: [f64; 2] = [0.6, 1.6];
 /// A focus of a smaller disparity, which is as good as infinite, is given as this.
 const LEAST_DISPARITY: f64 = 1e-3;
 /// Places of a spot that are drawn.
@@ -17,8 +15,9 @@ impl CameraBlur {
     pub(super) fn view(&self, frame: usize) -> TakenView {
         let focal = self.focal[frame];
         let blur_px = self.capture.path_px(frame, focal);
-        let disc_px = DISPARITIES
-            .map(|d| self.capture.disc_px(frame, focal, d))
+        let disc_px = self
+            .depth_range
+            .map(|z| self.capture.disc_px(frame, focal, self.scene_size / z))
             .into_iter()
             .fold(0.0, f64::max);
         let row = |tensor: &Tensor<2>, row| host(tensor.clone().detach().narrow(0, row, 1));
@@ -59,8 +58,7 @@ impl CameraBlur {
             let at = |i: usize| f64::from(pose[4 * i + 2]) * depth + f64::from(pose[4 * i + 3]);
             [0, 1].map(|axis| focal * at(axis) / at(2))
         };
-        let spot = |disparity: f64| {
-            let depth = size / disparity;
+        let spot = |depth: f64| {
             let [x, y] = seen(&middle, depth);
             let places = poses.chunks_exact(12).map(|pose| {
                 let place = seen(pose, depth);
@@ -71,8 +69,8 @@ impl CameraBlur {
                 places: places.collect(),
             }
         };
-        let [far, near] = DISPARITIES;
-        let spots = [near, 1.0, far].map(spot).to_vec();
+        let [near, far] = self.depth_range;
+        let spots = [near, size, far].map(spot).to_vec();
         TakenView { spots, ..view }
     }
 }

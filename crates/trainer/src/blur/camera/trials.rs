@@ -6,12 +6,21 @@ use crate::TrainError;
 use crate::look::Look;
 use crate::tensors::{constant, host, leaf, tensor};
 use crate::world::World;
-use capture::RIGID;
+use burn::tensor::Tensor;
+use capture::{Capture, RIGID};
 use tracing::trace_span;
 
+/// A frame's path pays if without it the frame's error is larger by more than this share.
+const PATH_PAYS: f64 = 0.01;
+/// A lens, another aperture, or paths at all pay if without them the error of all frames is larger by more than this share.
+/// Gaussians have sharpened under what they were trained with, so that leaving it out always costs something: a lens 2 % where
+/// there is none, and from 10 % on where there is one.
+const PART_PAYS: f64 = 0.05;
+
 impl CameraBlur {
-    /// Tries other paths and focus distances on every frame, where it is time: the one that explains the frame best stays.
-    /// `looks` are those at all training frames. Returns the frames whose path changed.
+    /// Where it is time, tries to do without the lens and without the paths, tries other paths on every frame, and in the end
+    /// other apertures: what explains the frames best stays, and what does not pay goes for good. `looks` are those at all
+    /// training frames. Returns the frames whose path changed.
     pub(super) fn revise(
         &mut self,
         world: &World,
@@ -20,38 +29,64 @@ impl CameraBlur {
         let Some(it) = looks.first().map(|look| look.iteration) else {
             return Ok(Vec::new());
         };
-        if !self.settings.path || !self.moments.trials.contains(&it) || !self.is_on(it) {
+        if !self.moments.trials.contains(&it) || !self.is_on(it) {
             return Ok(Vec::new());
         }
         let _span = trace_span!("trials").entered();
         let world = world.detached();
-        let width = RIGID * self.settings.path_degree;
-        let mut paths = host(self.capture.paths.clone().detach());
-        let mut now = Vec::with_capacity(looks.len());
+        let last = self.moments.trials.last() == Some(&it);
         let mut trial = self.clone();
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
         }
-        for look in looks {
-            now.push(trial.error(&world, look)?);
+        trial.try_parts(&world, looks)?;
+        if self.settings.lens && last {
+            trial.try_apertures(&world, looks)?;
         }
+        let changed = trial.try_paths(&world, looks, last)?;
+        for ((_, own), (_, found)) in self
+            .parameters_mut()
+            .into_iter()
+            .zip(trial.parameters_mut())
+        {
+            *own = leaf(found.clone().inner(), true);
+        }
+        Ok(changed)
+    }
+
+    /// Leaves on every frame the path that explains it best; says on which it is another one now.
+    fn try_paths(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        last: bool,
+    ) -> Result<Vec<usize>, TrainError> {
+        let errors = looks.iter().map(|look| self.error(world, look));
+        let now = errors.collect::<Result<Vec<_>, _>>()?;
         let lengths: Vec<f64> = (0..looks.len())
             .map(|frame| self.capture.path_px(frame, self.focal[frame]))
             .collect();
         let (usual, usual_px) = (median(&now), median(&lengths));
-        let last = self.moments.trials.last() == Some(&it);
+        if lengths.iter().all(|length| *length == 0.0) {
+            return Ok(Vec::new());
+        }
         let mut changed = Vec::new();
         for (frame, look) in looks.iter().enumerate() {
-            let own = paths[frame * width..(frame + 1) * width].to_vec();
+            let own = self.path(frame);
+            let length = usual_px / self.focal[frame];
             let mut candidates = vec![reversed(&own)];
             // 2.5 dB under the others, or hardly moved: it does not leave a wrong direction by itself.
             if now[frame] > 1.8 * usual || lengths[frame] < 0.4 * usual_px {
-                candidates.extend(self.others(own.len(), usual_px / self.focal[frame]));
+                candidates.extend(others(&vec![0.0; own.len()], &[0.5, 1.0, 2.0], length));
+            }
+            // A path that comes back on itself looks the same both ways, so that no gradient opens it.
+            if f64::from(speed(&own)) < 0.3 * length {
+                candidates.extend(others(&own, &[0.35, 0.7], length));
             }
             let mut best = (now[frame], own.clone());
             for candidate in candidates {
-                trial.set_path(frame, &candidate);
-                let error = trial.error(&world, look)?;
+                self.set_path(frame, &candidate);
+                let error = self.error(world, look)?;
                 if error < best.0 {
                     best = (error, candidate);
                 }
@@ -59,35 +94,59 @@ impl CameraBlur {
             if last && lengths[frame] < 1.0 {
                 // What does not pay is left out for good.
                 let still = vec![0.0; own.len()];
-                trial.set_path(frame, &still);
-                if trial.error(&world, look)? <= 1.01 * best.0 {
+                self.set_path(frame, &still);
+                if self.error(world, look)? <= (1.0 + PATH_PAYS) * best.0 {
                     best.1 = still;
                 }
             }
-            trial.set_path(frame, &best.1);
+            self.set_path(frame, &best.1);
             if best.1 != own {
-                paths[frame * width..(frame + 1) * width].copy_from_slice(&best.1);
                 changed.push(frame);
             }
         }
-        let device = self.capture.paths.device().inner();
-        self.capture.paths = leaf(tensor(paths, self.capture.paths.dims(), &device), true);
         Ok(changed)
     }
 
-    /// Straight paths in eight directions, half as long as `length` (rad), as long, and twice as long.
-    fn others(&self, width: usize, length: f64) -> Vec<Vec<f32>> {
-        let directions = (0..8).map(|k| std::f64::consts::TAU * f64::from(k) / 8.0);
-        directions
-            .flat_map(|angle| {
-                [0.5, 1.0, 2.0].map(|times| {
-                    let mut path = vec![0.0; width];
-                    path[0] = (times * length * angle.cos()) as f32;
-                    path[1] = (times * length * angle.sin()) as f32;
-                    path
-                })
-            })
-            .collect()
+    /// Leaves the lens out if it does not pay, and then all paths.
+    fn try_parts(&mut self, world: &World, looks: &[Look<'_>]) -> Result<(), TrainError> {
+        let mut now = self.errors(world, looks)?;
+        type Part = fn(&mut Capture) -> &mut Tensor<2>;
+        let parts: [Part; 2] = [|c| &mut c.aperture, |c| &mut c.paths];
+        for part in parts {
+            let own = part(&mut self.capture).clone();
+            *part(&mut self.capture) = own.zeros_like();
+            let without = self.errors(world, looks)?;
+            if without > (1.0 + PART_PAYS) * now {
+                *part(&mut self.capture) = own;
+            } else {
+                now = without;
+            }
+        }
+        Ok(())
+    }
+
+    /// Leaves a larger or smaller aperture if that pays.
+    fn try_apertures(&mut self, world: &World, looks: &[Look<'_>]) -> Result<(), TrainError> {
+        let own = self.capture.aperture.clone();
+        let mut best = (self.errors(world, looks)? / (1.0 + PART_PAYS), 1.0);
+        for times in [0.5, 0.7, 1.4, 2.0] {
+            self.capture.aperture = own.clone() * times;
+            let error = self.errors(world, looks)?;
+            if error < best.0 {
+                best = (error, times);
+            }
+        }
+        self.capture.aperture = own * best.1;
+        Ok(())
+    }
+
+    /// Sum of the errors of all frames.
+    fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<f64, TrainError> {
+        looks.iter().map(|look| self.error(world, look)).sum()
+    }
+
+    fn path(&self, frame: usize) -> Vec<f32> {
+        host(self.capture.paths.clone().narrow(0, frame, 1))
     }
 
     fn set_path(&mut self, frame: usize, path: &[f32]) {
@@ -108,6 +167,26 @@ impl CameraBlur {
         let difference = (seen.clone() - view.image(&seen)).square().mean();
         Ok(f64::from(host(difference)[0]))
     }
+}
+
+/// Paths in eight directions, so many times as fast in the middle of the exposure as one of `length` (rad), and otherwise as
+/// `path`.
+fn others(path: &[f32], times: &[f64], length: f64) -> Vec<Vec<f32>> {
+    let directions = (0..8).map(|k| std::f64::consts::TAU * f64::from(k) / 8.0);
+    let ways = directions.flat_map(|angle| times.iter().map(move |times| (angle, times * length)));
+    ways.map(|(angle, length)| {
+        let mut path = path.to_vec();
+        path[..RIGID].fill(0.0);
+        path[0] = (length * angle.cos()) as f32;
+        path[1] = (length * angle.sin()) as f32;
+        path
+    })
+    .collect()
+}
+
+/// How far a path would lead at the speed of the middle of the exposure, focal lengths.
+fn speed(path: &[f32]) -> f32 {
+    (path[1] + path[3]).hypot(path[4] - path[0])
 }
 
 fn median(values: &[f64]) -> f64 {
