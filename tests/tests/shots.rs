@@ -52,7 +52,7 @@ fn without_shutter_and_lens_it_is_the_sharp_render_from_between_the_frames() {
 
 #[test]
 fn with_the_learned_exposure_it_is_what_the_model_says_the_camera_saw() {
-    let trainer = trained(BlurKind::Camera, 90);
+    let trainer = trained(BlurKind::Camera, 70);
     let Some(BlurFigures::Camera(figures)) = trainer.evaluate().expect("scores").blur else {
         panic!("the camera's figures");
     };

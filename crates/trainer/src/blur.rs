@@ -132,16 +132,35 @@ impl BlurModel {
         }
     }
 
-    /// What it does between iterations; `looks` are those at all training frames. Returns the parameters with rows that are
+    /// Holds after each iteration what all frames have in common, where that is the scene's.
+    pub(crate) fn hold(&mut self) {
+        if let Self::Camera(camera) = self {
+            camera.hold();
+        }
+    }
+
+    /// Whether [`Self::revise`] has something to do once `it` iterations are done.
+    pub(crate) fn revises(&self, it: usize) -> bool {
+        match self {
+            Self::Off | Self::Kernels(_) => false,
+            Self::Camera(camera) => camera.revises(it),
+        }
+    }
+
+    /// Changes what gradients do not; `looks` are those at all training frames. Returns the parameters with rows that are
     /// others now, and these rows.
-    pub(crate) fn between(
+    pub(crate) fn revise(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
     ) -> Result<Vec<(Parameter, Vec<usize>)>, TrainError> {
         match self {
             Self::Off | Self::Kernels(_) => Ok(Vec::new()),
-            Self::Camera(camera) => camera.between(world, looks),
+            Self::Camera(camera) => {
+                let rows = camera.revise(world, looks)?;
+                let paths = Parameter::new("camera.paths", Group::CameraPath);
+                Ok(vec![(paths, rows)])
+            }
         }
     }
 

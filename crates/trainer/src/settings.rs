@@ -323,7 +323,7 @@ impl Default for LearningRates {
             camera_path: 3e-3,
             camera_offset: 6e-4,
             camera_focus: 2e-2,
-            camera_aperture: 1e-3,
+            camera_aperture: 1e-4,
             camera_shutter: 5e-3,
             camera_final_share: 0.05,
         }

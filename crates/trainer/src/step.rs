@@ -138,11 +138,15 @@ impl Trainer {
     /// Lets the blur model do what it does once `it` iterations are done.
     fn change_blur(&mut self, it: usize) -> Result<(), TrainError> {
         let Self { run, data } = self;
+        run.state.model.blur.hold();
+        if !run.state.model.blur.revises(it) {
+            return Ok(());
+        }
         let mut blur = run.state.model.blur.clone();
         let training = |frame| ViewRef::training(&run.plan.views, &data.scene, frame);
         let views: Vec<_> = (0..run.plan.views.train.len()).map(training).collect();
         let looks: Vec<_> = views.iter().map(|view| run.look_at(view, it)).collect();
-        let changed = blur.between(&run.state.model.world, &looks)?;
+        let changed = blur.revise(&run.state.model.world, &looks)?;
         run.state.model.blur = blur;
         for (parameter, rows) in changed {
             run.state.optimizer.zero_rows(&parameter, &rows);

@@ -264,20 +264,13 @@ impl CameraBlur {
         times.into_iter().map(f64::from).zip(poses).collect()
     }
 
-    /// See [`super::BlurModel::between`].
-    pub(super) fn between(
-        &mut self,
-        world: &World,
-        looks: &[Look<'_>],
-    ) -> Result<Vec<(Parameter, Vec<usize>)>, TrainError> {
-        self.hold();
-        let rows = self.revise(world, looks)?;
-        let paths = Parameter::new("camera.paths", Group::CameraPath);
-        Ok(vec![(paths, rows)])
+    /// Whether frames try other paths once `it` iterations are done.
+    pub(super) fn revises(&self, it: usize) -> bool {
+        self.moments.trials.contains(&it)
     }
 
     /// What all frames have in common is the scene's: offsets have a mean of zero over the frames.
-    fn hold(&mut self) {
+    pub(super) fn hold(&mut self) {
         if self.settings.offsets {
             let offsets = self.capture.offsets.clone().inner();
             let mean = offsets.clone().mean_dim(0);

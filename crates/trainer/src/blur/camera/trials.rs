@@ -18,23 +18,18 @@ const PATH_PAYS: f64 = 0.01;
 const PART_PAYS: f64 = 0.05;
 
 impl CameraBlur {
-    /// Where it is time, tries to do without the lens and without the paths, tries other paths on every frame, and in the end
+    /// Tries to do without the lens and without the paths, tries other paths on every frame, and in the end
     /// other apertures: what explains the frames best stays, and what does not pay goes for good. `looks` are those at all
     /// training frames. Returns the frames whose path changed.
-    pub(super) fn revise(
+    pub(in crate::blur) fn revise(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
     ) -> Result<Vec<usize>, TrainError> {
-        let Some(it) = looks.first().map(|look| look.iteration) else {
-            return Ok(Vec::new());
-        };
-        if !self.moments.trials.contains(&it) || !self.is_on(it) {
-            return Ok(Vec::new());
-        }
         let _span = trace_span!("trials").entered();
         let world = world.detached();
-        let last = self.moments.trials.last() == Some(&it);
+        let it = looks.first().map(|look| look.iteration);
+        let last = self.moments.trials.last() == it.as_ref();
         let mut trial = self.clone();
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
