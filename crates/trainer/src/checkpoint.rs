@@ -268,6 +268,15 @@ fn header(bytes: &[u8]) -> Result<Header, CheckpointProblem> {
             "there is no training view",
         ));
     }
+    let [near, far] = header.survey.depth_range;
+    if ![header.survey.scene_size, near, far]
+        .iter()
+        .all(|depth| *depth > 0.0)
+    {
+        return Err(CheckpointProblem::Contradiction(
+            "the scene's size and its depths are not over zero",
+        ));
+    }
     let mut views = header.views.train.iter().chain(&header.views.test);
     if views.any(|v| v.camera.width.saturating_mul(v.camera.height) > MAX_PIXELS) {
         return Err(CheckpointProblem::Contradiction(
