@@ -13,6 +13,7 @@ use limpid_bench::net::time_net;
 use limpid_bench::report::Report;
 use limpid_bench::spans::Stages;
 use limpid_bench::workload::{Blur, Workload};
+use trainer::settings::BlurKind;
 use trainer::{Device, Settings, Trainer};
 
 /// As in the program: large buffers are kept for the next iteration.
@@ -168,14 +169,15 @@ fn all(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Iterations of the demo in which all parts of the method are on: movers, unseen views, depth and masks too.
+/// Iterations of the demo in which all parts of the paper's method are on: kernels, movers, unseen views, depth and masks.
 fn demo(device: &Device, stages: &Stages) -> Result<Breakdown, Failure> {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../demo");
     let scene = io::Scene::open(folder.as_ref())?;
-    let settings = Settings {
+    let mut settings = Settings {
         iterations: 1200,
         ..Settings::default()
     };
+    settings.blur.model = BlurKind::Kernels;
     let mut trainer = Trainer::new(scene, settings, device)?;
     // Blur from 251 on, its penalty from 551 on.
     while trainer.iteration() < 560 {
