@@ -1,6 +1,6 @@
 //! The trainer's losses on tensors, on every backend that is compiled in.
 
-use burn::tensor::{DType, Tensor};
+use burn::tensor::{DType, Device, Tensor};
 use limpid_tests::{GradLimits, check_gradients, devices, in_pool, tensor, unit_noise, values};
 use trainer::losses::{
     depth_loss, detail_loss, downsample_loss, intensity_penalty, mask_band, mask_loss, photometric,
@@ -143,13 +143,21 @@ fn gradients_of_the_picture_losses() {
     }
 }
 
+/// A picture [H, W, 3] of the same value in all channels, by row and column.
+fn gray(
+    [height, width]: [usize; 2],
+    device: &Device,
+    f: &dyn Fn(usize, usize) -> f64,
+) -> Tensor<3> {
+    let values = (0..height * width).flat_map(|k| [f(k / width, k % width); 3]);
+    let values: Vec<f64> = values.collect();
+    tensor(&values, [height, width, 3], device, DType::F64)
+}
+
 #[test]
 fn fine_detail_is_what_differs_from_the_pixels_around_it() {
     for (name, device) in devices() {
-        let picture = |f: &dyn Fn(usize, usize) -> f64| {
-            let values: Vec<f64> = (0..6 * 9).flat_map(|k| [f(k / 9, k % 9); 3]).collect();
-            tensor(&values, [6, 9, 3], &device, DType::F64)
-        };
+        let picture = |f: &dyn Fn(usize, usize) -> f64| gray([6, 9], &device, f);
         let zero = picture(&|_, _| 0.0);
         let of = |picture: Tensor<3>| scalar(detail_loss(picture, zero.clone()));
         // A slope has none; a checkerboard of ±0.3 stands out by 0.6 against its neighbours, and by nothing two pixels away.
@@ -171,10 +179,7 @@ fn fine_detail_is_what_differs_from_the_pixels_around_it() {
 fn downsampling_averages_whole_blocks() {
     for (name, device) in devices() {
         // 5x9: one row of blocks of 4, two columns; the rest is left out.
-        let picture = |f: &dyn Fn(usize, usize) -> f64| {
-            let values: Vec<f64> = (0..5 * 9).flat_map(|k| [f(k / 9, k % 9); 3]).collect();
-            tensor(&values, [5, 9, 3], &device, DType::F64)
-        };
+        let picture = |f: &dyn Fn(usize, usize) -> f64| gray([5, 9], &device, f);
         let zero = picture(&|_, _| 0.0);
         let at = |y: usize, x: usize| {
             let sharp = picture(&|v, u| f64::from(u8::from(v == y && u == x)));

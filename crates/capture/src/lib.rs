@@ -30,4 +30,4 @@ mod motion;
 mod samples;
 
 pub use capture::{Capture, RIGID};
-pub use samples::{Sample, samples, samples_for};
+pub use samples::{GOLDEN_ANGLE, Sample, samples, samples_for};

@@ -2,8 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-/// Turn from one point of a sunflower to the next.
-const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
+/// Turn from one point of a sunflower to the next, rad: however many follow each other, no two directions are alike.
+pub const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 
 /// A moment of an exposure and a point of the lens.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -58,6 +58,7 @@ mod scores;
 mod sharpness;
 mod shot;
 mod state;
+mod statistics;
 mod step;
 mod survey;
 mod tensors;

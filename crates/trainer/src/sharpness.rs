@@ -1,6 +1,7 @@
 //! How much the frames of a video differ in sharpness. A blur that never changes cannot be told from a blurry world; one that
 //! changes shows in the frames before anything is trained.
 
+use crate::statistics::median;
 use io::{Frame, Image, Map};
 
 /// Neighbouring frames of a sharp video see nearly the same, and their contrast differs by less than this (median of the
@@ -24,12 +25,8 @@ pub(crate) fn sharpness_change(frames: &[Frame]) -> Option<f64> {
         let axes = pair[0].iter().zip(&pair[1]);
         axes.filter_map(|(a, b)| Some(((*a)? - (*b)?).abs()))
     });
-    let mut changes: Vec<f64> = pairs.collect();
-    if changes.len() < 4 {
-        return None;
-    }
-    changes.sort_by(f64::total_cmp);
-    Some(changes[changes.len() / 2])
+    let changes: Vec<f64> = pairs.collect();
+    (changes.len() >= 4).then(|| median(&changes))
 }
 
 /// Whether frames that differ so much in sharpness are blurred.

@@ -2,11 +2,12 @@
 
 use crate::TrainError;
 use crate::run::{Run, to_image};
+use crate::views::pose_tensor;
 use burn::tensor::{DType, Tensor, TensorData};
 use capture::{Capture, Sample, samples};
 use glam::DAffine3;
 use io::Image;
-use splat_core::{Exposure, Movers, Viewpoint, expose, pose_rows};
+use splat_core::{Exposure, Viewpoint, expose};
 
 /// How a picture is taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,7 +61,7 @@ impl Run {
     pub fn render_shot(&self, shot: &Shot) -> Result<Image, TrainError> {
         shot.check()?;
         let trajectory = self.trajectory();
-        let view = self.view_at(shot.time);
+        let view = self.view_on(&trajectory, shot.time);
         if shot.shutter == 0.0 && shot.aperture == 0.0 {
             return self.render_viewpoint(&view);
         }
@@ -77,7 +78,6 @@ impl Run {
         let poses = Tensor::cat(poses.collect(), 0);
         let options = (&world.means.device(), world.means.dtype());
         let times = Tensor::<1>::from_data(TensorData::new(times, [taken.len()]), options);
-        let movers = world.exposed_at(&times);
         let splats = world.pose(shot.time).splats;
         let middle = Viewpoint::new(
             &view.camera,
@@ -87,10 +87,7 @@ impl Run {
         );
         let exposure = Exposure {
             poses,
-            movers: movers.map(|(means, left_rotations)| Movers {
-                means,
-                left_rotations,
-            }),
+            movers: world.exposed_at(&times),
             transfer: self.settings().camera.transfer.into(),
         };
         Ok(to_image(expose(splats, &middle, exposure, None)?.color))
@@ -103,8 +100,7 @@ impl Run {
         let mut lens = Capture::still(1, 1, options);
         lens.aperture = lens.aperture + shot.aperture / size;
         lens.focus = lens.focus * (size / shot.focus);
-        let pose =
-            Tensor::<2>::from_data(TensorData::new(pose_rows(pose).to_vec(), [3, 4]), options);
+        let pose = pose_tensor(pose, options);
         let point = Sample {
             moment: 0.0,
             ..*sample

@@ -27,7 +27,7 @@ impl Knot {
         }
     }
 
-    /// The place between two others, and nearer to neither than the time is.
+    /// The place at a time between two others.
     fn between(&self, next: &Self, time: f64) -> Self {
         let share = ((time - self.time) / (next.time - self.time)).clamp(0.0, 1.0);
         Self {
@@ -77,6 +77,11 @@ impl Run {
     /// open, else between the frames; before the first frame and after the last where it was then.
     #[must_use]
     pub fn view_at(&self, time: f32) -> CameraView {
+        self.view_on(&self.trajectory(), time)
+    }
+
+    /// The same on its trajectory.
+    pub(crate) fn view_on(&self, trajectory: &Trajectory, time: f32) -> CameraView {
         let nearest = self.views().train.iter().min_by(|a, b| {
             let away = |view: &CameraView| (view.time - time).abs();
             away(a).total_cmp(&away(b))
@@ -85,7 +90,7 @@ impl Run {
         CameraView {
             name: format!("at {time}"),
             camera: nearest.camera.clone(),
-            cam_from_world: self.trajectory().pose(f64::from(time)),
+            cam_from_world: trajectory.pose(f64::from(time)),
             time,
         }
     }

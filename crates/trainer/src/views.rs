@@ -1,6 +1,6 @@
 //! Where views are seen from, and what an iteration learns from.
 
-use burn::tensor::{Bool, Device, Tensor, TensorData};
+use burn::tensor::{Bool, DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec3};
 use io::Scene;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -35,6 +35,11 @@ pub(crate) fn pose_of(r: &[f64; 12]) -> DAffine3 {
         matrix3: DMat3::from_cols_array(&[r[0], r[4], r[8], r[1], r[5], r[9], r[2], r[6], r[10]]),
         translation: DVec3::new(r[3], r[7], r[11]),
     }
+}
+
+/// A pose as the renderer takes it, [3, 4].
+pub(crate) fn pose_tensor(pose: &DAffine3, options: (&Device, DType)) -> Tensor<2> {
+    Tensor::from_data(TensorData::new(pose_rows(pose).to_vec(), [3, 4]), options)
 }
 
 /// The views of a scene, as far as rendering needs them.

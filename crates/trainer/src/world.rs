@@ -5,7 +5,7 @@ use crate::placement::Seeds;
 use crate::tensors::{constant, host, rows_from};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use motion_bases::{Motion, MotionBases, quats_of_posed};
-use splat_core::{Gaussians, Splats};
+use splat_core::{Gaussians, Movers, Splats};
 
 /// RGB to the SH coefficient of degree 0 and back.
 const SH_C0: f64 = 0.282_094_791_773_878_14;
@@ -115,17 +115,20 @@ impl World {
             .map(|m| m.bases.motion_at(&m.coefficients, time))
     }
 
-    /// Means [T, F, 3] and rotations [T, F, 3, 3] of the dynamic Gaussians at times within an exposure, `[T]`; `None` where
-    /// nothing moves.
+    /// Where the dynamic Gaussians are at times within an exposure, `[T]`; `None` where nothing moves.
     #[must_use]
-    pub fn exposed_at(&self, times: &Tensor<1>) -> Option<(Tensor<3>, Tensor<4>)> {
+    pub fn exposed_at(&self, times: &Tensor<1>) -> Option<Movers> {
         let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0)?;
         let means = self.dynamic_means();
         let MotionModel {
             bases,
             coefficients,
         } = motion;
-        Some(bases.exposed_at(coefficients, &means, times))
+        let (means, left_rotations) = bases.exposed_at(coefficients, &means, times);
+        Some(Movers {
+            means,
+            left_rotations,
+        })
     }
 
     /// Means of the dynamic Gaussians in the canonical frame, [F, 3].

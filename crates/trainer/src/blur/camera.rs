@@ -14,16 +14,14 @@ use crate::parameter::{Group, Parameter};
 use crate::settings::{CameraSettings, Settings};
 use crate::survey::Survey;
 use crate::tensors::{constant, host, leaf};
-use crate::views::{Views, pose_of};
+use crate::views::{Views, pose_of, pose_tensor};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use capture::{Capture, RIGID, Sample, samples, samples_for};
+use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for};
 use glam::DAffine3;
-use splat_core::{Exposure, Movers, expose, pose_rows};
+use splat_core::{Exposure, Movers, expose};
 use tracing::trace_span;
 
-/// From one frame's first direction to the next: no two are alike.
-const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 /// Moments between which a frame's samples and points are jittered, by irrational steps from iteration to iteration.
 const JITTER: [f64; 2] = [0.618_033_988_75, 0.754_877_666_2];
 /// A frame that is blurred at all is averaged from so many renders or more.
@@ -95,7 +93,7 @@ impl CameraBlur {
             .zip(views.train.iter().zip(&focal))
             .enumerate()
         {
-            // No motion is a saddle: a path of no length has no direction to grow in.
+            // No motion is a saddle: a path of no length has no direction to grow in. No two frames' first ones are alike.
             let angle = i as f64 * GOLDEN_ANGLE;
             let length = camera.start_px * view.camera.width as f64 / 256.0 / focal;
             path[0] = length * angle.cos();
@@ -224,11 +222,7 @@ impl CameraBlur {
     /// Where moving Gaussians are at the samples' moments.
     fn movers(&self, world: &World, time: f32, taken: &[Sample]) -> Option<Movers> {
         let times = self.capture.moments(taken).add_scalar(time);
-        let (means, left_rotations) = world.exposed_at(&times)?;
-        Some(Movers {
-            means,
-            left_rotations,
-        })
+        world.exposed_at(&times)
     }
 
     /// How many renders a frame with such a blur is averaged from. A blur that is there at all has a gradient: with a single
@@ -254,8 +248,7 @@ impl CameraBlur {
     ) -> Vec<(f64, DAffine3)> {
         let taken: Vec<Sample> = moments.map(Sample::through_the_middle).collect();
         let options = (&self.capture.paths.device(), self.capture.paths.dtype());
-        let given =
-            Tensor::<2>::from_data(TensorData::new(pose_rows(given).to_vec(), [3, 4]), options);
+        let given = pose_tensor(given, options);
         let poses = self.capture.poses(frame, &given, &taken, self.scene_size);
         let times = host(self.capture.moments(&taken).detach());
         let rows = host(poses.detach());

@@ -4,6 +4,7 @@
 use super::CameraBlur;
 use crate::TrainError;
 use crate::look::Look;
+use crate::statistics::median;
 use crate::tensors::{constant, host, leaf, tensor};
 use crate::world::World;
 use burn::tensor::Tensor;
@@ -31,12 +32,14 @@ impl CameraBlur {
         let it = looks.first().map(|look| look.iteration);
         let last = self.moments.trials.last() == it.as_ref();
         let mut trial = self.clone();
+        // Errors are of pictures: no term of the loss is wanted.
+        trial.detail = 0.0;
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
         }
-        trial.try_parts(&world, looks)?;
+        let now = trial.try_parts(&world, looks)?;
         if self.settings.lens && last {
-            trial.try_apertures(&world, looks)?;
+            trial.try_apertures(&world, looks, now)?;
         }
         let changed = trial.try_paths(&world, looks, last)?;
         for ((_, own), (_, found)) in self
@@ -102,8 +105,8 @@ impl CameraBlur {
         Ok(changed)
     }
 
-    /// Leaves the lens out if it does not pay, and then all paths.
-    fn try_parts(&mut self, world: &World, looks: &[Look<'_>]) -> Result<(), TrainError> {
+    /// Leaves the lens out if it does not pay, and then all paths; returns the error of all frames with what stays.
+    fn try_parts(&mut self, world: &World, looks: &[Look<'_>]) -> Result<f64, TrainError> {
         let mut now = self.errors(world, looks)?;
         type Part = fn(&mut Capture) -> &mut Tensor<2>;
         let parts: [Part; 2] = [|c| &mut c.aperture, |c| &mut c.paths];
@@ -117,13 +120,18 @@ impl CameraBlur {
                 now = without;
             }
         }
-        Ok(())
+        Ok(now)
     }
 
-    /// Leaves a larger or smaller aperture if that pays.
-    fn try_apertures(&mut self, world: &World, looks: &[Look<'_>]) -> Result<(), TrainError> {
+    /// Leaves a larger or smaller aperture if that pays; `now` is the error of all frames as it is.
+    fn try_apertures(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        now: f64,
+    ) -> Result<(), TrainError> {
         let own = self.capture.aperture.clone();
-        let mut best = (self.errors(world, looks)? / (1.0 + PART_PAYS), 1.0);
+        let mut best = (now / (1.0 + PART_PAYS), 1.0);
         for times in [0.5, 0.7, 1.4, 2.0] {
             self.capture.aperture = own.clone() * times;
             let error = self.errors(world, looks)?;
@@ -182,12 +190,6 @@ fn others(path: &[f32], times: &[f64], length: f64) -> Vec<Vec<f32>> {
 /// How far a path would lead at the speed of the middle of the exposure, focal lengths.
 fn speed(path: &[f32]) -> f32 {
     (path[1] + path[3]).hypot(path[4] - path[0])
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted[sorted.len() / 2]
 }
 
 /// The same path the other way round.
