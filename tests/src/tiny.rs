@@ -5,7 +5,7 @@ use glam::{DAffine3, DVec2, DVec3};
 use io::{Frame, Image, Map, QueryTracks, Scene, TrackSample, Tracks, View};
 use splat_core::Camera;
 use trainer::Settings;
-use trainer::settings::{BlurKind, UnseenUse};
+use trainer::settings::{BlurKind, When};
 
 /// Number of training frames.
 pub const FRAMES: usize = 6;
@@ -152,10 +152,11 @@ pub fn settings() -> Settings {
     settings.motion.first_fit_steps = 40;
     settings.blur.model = BlurKind::Kernels;
     settings.blur.hold = 0;
-    settings.unseen.when = UnseenUse::Always;
+    settings.unseen.when = When::Always;
     settings.blur.kernel_size = 5;
     settings.loss.intensity = 0.001;
     settings.camera.lens = true;
-    settings.camera.offsets = true;
+    settings.frames.offsets = true;
+    settings.frames.gains = When::Always;
     settings
 }

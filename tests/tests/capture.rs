@@ -53,7 +53,7 @@ fn picture(capture: &Capture, splats: &Splats, count: usize, jitter: [f64; 2]) -
     let given = Tensor::<2>::from_data(given, options);
     let view = Viewpoint {
         camera: Camera::pinhole([56, 40], [FOCAL; 2], [28.0, 20.0]),
-        cam_from_world: capture.middle(0, &given, SIZE),
+        cam_from_world: given.clone(),
         sh_degree: 0,
     };
     let exposure = Exposure {
@@ -72,9 +72,9 @@ fn path_focus_and_aperture_are_found_back() {
         let device = device.autodiff();
         let f32s = |values: &[f64], shape| tensor(values, shape, &device, DType::F32);
         let splats = splats(&device);
-        let path = [
-            0.02, 0.04, 0.0, 0.0, 0.0, 0.0, -0.03, 0.05, 0.0, 0.0, 0.0, 0.0,
-        ];
+        let mut path = [0.0; 12];
+        path[..2].copy_from_slice(&[0.02, 0.04]);
+        path[6..8].copy_from_slice(&[-0.015, 0.025]);
         let (aperture, focus) = (0.04, 1.5);
         let mut truth = Capture::still(1, 2, (&device, DType::F32));
         truth.paths = f32s(&path, [1, 12]);
@@ -84,15 +84,15 @@ fn path_focus_and_aperture_are_found_back() {
 
         // Half the aperture, in focus elsewhere, a short path in another direction.
         let mut found = Capture::still(1, 2, (&device, DType::F32));
-        let start = [0.0, 0.015, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let mut start = [0.0; 12];
+        start[1] = 0.015;
         found.paths = f32s(&start, [1, 12]).require_grad();
         found.aperture = f32s(&[0.5 * aperture], [1, 1]).require_grad();
         found.focus = f32s(&[1.2], [1, 1]).require_grad();
         // What turns around the axis or moves along it is no question here: rotations alone are learned.
-        let mut rates = vec![0.0; 12];
-        for k in [0, 1, 6, 7] {
-            rates[k] = 2e-3;
-        }
+        let rates: Vec<f64> = (0..12)
+            .map(|k| if k % 6 < 2 { 2e-3 } else { 0.0 })
+            .collect();
         let mut states = [&found.paths, &found.aperture, &found.focus].map(AdamState::new);
         let steps = 300;
         for it in 0..steps {
@@ -112,7 +112,7 @@ fn path_focus_and_aperture_are_found_back() {
         }
         let learned = values(found.paths.clone());
         let place =
-            |path: &[f64], s: f64| [0, 1].map(|k| FOCAL * (path[k] * s + path[6 + k] * s * s));
+            |path: &[f64], s: f64| [0, 1].map(|k| FOCAL * (path[k] * s + path[6 + k] * s.abs()));
         // Both ways round are the same picture: a path has no direction where nothing moves.
         let error = |sign: f64| {
             let moments = [-0.5, -0.25, 0.25, 0.5];

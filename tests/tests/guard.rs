@@ -1,7 +1,7 @@
 //! The guard: a loss or gradient that is not finite stops the run with its state whole and says where it arose.
 
 use limpid_tests::{devices, tiny, values};
-use trainer::settings::UnseenUse;
+use trainer::settings::When;
 use trainer::{TrainError, Trainer};
 
 /// Trains until a step fails; the error, and the trainer as it is then. No parameter may have changed in the failed step.
@@ -31,7 +31,7 @@ fn a_fault_in_a_frame_names_iteration_view_term_and_parameter() {
             let mut scene = tiny::scene();
             scene.frames[3].view.image.pixels[100] = fault;
             let mut settings = tiny::settings();
-            settings.unseen.when = UnseenUse::Never;
+            settings.unseen.when = When::Never;
             let trainer = Trainer::new(scene, settings, &device).expect("a trainer");
             let (error, trainer) = train_into_fault(trainer);
             let TrainError::NotFinite {

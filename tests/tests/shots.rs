@@ -3,12 +3,13 @@
 use burn::tensor::Device;
 use io::Image;
 use limpid_tests::tiny::{camera, pose, scene, settings};
-use trainer::settings::BlurKind;
+use trainer::settings::{BlurKind, FrameSettings};
 use trainer::{BlurFigures, Shot, TrainError, Trainer};
 
 fn trained(model: BlurKind, steps: usize) -> Trainer {
     let mut settings = settings();
     settings.blur.model = model;
+    settings.frames = FrameSettings::default();
     let mut trainer = Trainer::new(scene(), settings, &Device::flex()).expect("a trainer");
     for _ in 0..steps {
         trainer.step().expect("a step");

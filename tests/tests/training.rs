@@ -5,7 +5,7 @@ use io::Scene;
 use limpid_tests::tiny::{camera, pose, scene, settings};
 use limpid_tests::{devices, in_pool, with_causes};
 use splat_core::{Extra, Splats, Viewpoint, render};
-use trainer::settings::BlurKind;
+use trainer::settings::{BlurKind, FrameSettings};
 use trainer::{BlurModel, Trainer};
 
 /// The bits of all parameters, and the losses, after `steps` iterations.
@@ -236,6 +236,7 @@ fn a_static_scene_without_blur_models_neither() {
     let still = still_scene();
     let mut settings = settings();
     settings.blur.model = BlurKind::Off;
+    settings.frames = FrameSettings::default();
     let mut trainer = Trainer::new(still, settings, &Device::flex()).expect("a trainer");
     assert!(trainer.model().world.motion.is_none());
     assert!(matches!(trainer.model().blur, BlurModel::Off));

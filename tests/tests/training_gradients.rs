@@ -1,6 +1,8 @@
 //! One whole training loss: the gradient of every parameter group against f64 differences.
 
 use burn::tensor::{DType, Tensor};
+use glam::DVec3;
+use io::SparsePoint;
 use limpid_tests::{
     GradLimits, devices, directional_report, noise, tensor as tensor_of, tiny, values,
 };
@@ -50,7 +52,7 @@ fn every_parameter_group_has_the_gradient_of_the_whole_loss() {
 #[test]
 fn so_has_every_parameter_group_of_the_camera() {
     // Before its first trial, which may leave parts out.
-    check(BlurKind::Camera, &["detail"], 70);
+    check(BlurKind::Camera, &["path_shift"], 70);
 }
 
 /// The gradients of a whole loss with a blur model after so many iterations, at which every term is on and until which each
@@ -62,6 +64,13 @@ fn check(model: BlurKind, own_terms: &[&str], iteration: usize) {
         let depth = frame.depth.as_mut().expect("the scene has depth");
         depth.values.fill(tiny::WALL as f32);
     }
+    let grid = (0..48).map(|k| [f64::from(k % 8) - 3.5, f64::from(k / 8) - 2.5]);
+    let on_wall = grid.map(|[x, y]| DVec3::new(0.4 * x, 0.4 * y, tiny::WALL));
+    let points = on_wall.map(|position| SparsePoint {
+        position,
+        color: [0.5; 3],
+    });
+    scene.points = points.collect();
     let mut settings = tiny::settings();
     settings.blur.model = model;
     settings.loss.downsample = 0.1;
@@ -86,9 +95,12 @@ fn check(model: BlurKind, own_terms: &[&str], iteration: usize) {
             "along_ray",
             "bases_acceleration",
             "depth",
+            "depth_shift",
+            "detail",
             "image",
             "mask",
             "means_acceleration",
+            "offset_shift",
         ];
         let mut expected = [&shared, own_terms].concat();
         expected.sort_unstable();
@@ -116,7 +128,10 @@ fn check(model: BlurKind, own_terms: &[&str], iteration: usize) {
                 bias: 2e-3,
                 step: if late.iter().any(|name| group.starts_with(name)) {
                     1e-6
-                } else if group.starts_with("camera.") {
+                } else if ["camera.", "frames."]
+                    .iter()
+                    .any(|name| group.starts_with(name))
+                {
                     // Moves every Gaussian in the picture at once.
                     1e-8
                 } else {

@@ -2,7 +2,8 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use crate::motion::rotations;
+use crate::motion::{moved, shift_in_image};
+use crate::path::{mean, shape};
 use crate::samples::Sample;
 
 /// Numbers of a rigid motion: a rotation vector (rad) and a translation (scene sizes), in the camera's axes.
@@ -11,17 +12,16 @@ pub const RIGID: usize = 6;
 /// What a camera did while it took N frames: the tensors that can be trained, all of rank 2.
 ///
 /// With s the moment from -1/2 to 1/2 and (u, v) the point of the lens, a frame sees the world from
-/// Shear(u, v) Exp(o + p₁ s + … + p_D s^D) P, where P is the given pose, o the frame's offset and p its path: the sharp
-/// picture is that of the middle of the exposure, s = 0, u = v = 0.
+/// Shear(u, v) Exp(p₁ φ₁(s) + … + p_K φ_K(s)) P, where P is its pose and p its path, a polyline of K equal parts with
+/// φ₁ = s, φ₂ = |s| and tents of slope 1 over further bends: the sharp picture is that of the middle of the exposure,
+/// s = 0, u = v = 0, from P.
 ///
 /// The shear is x += a u (d z - S) and the same for y, with the aperture a, the focus d and the scene's size S: a point
 /// at the depth S / d stays where the lens' middle sees it, and one at depth z moves by f a u (d - S / z) px.
 #[derive(Clone, Debug)]
 pub struct Capture {
-    /// Coefficients of the paths, [N, 6 D]: those of s first.
+    /// Numbers of the paths, [N, 6 K]: those of φ₁ = s first.
     pub paths: Tensor<2>,
-    /// Offsets from the given poses, [N, 6].
-    pub offsets: Tensor<2>,
     /// Disparity of focus, S / distance, [N, 1].
     pub focus: Tensor<2>,
     /// Radius of the lens for all frames, scene sizes, [1, 1]. Its sign is without meaning.
@@ -31,35 +31,24 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// A camera that stands still, without a lens, in focus at the scene's size, for paths of a degree.
+    /// A camera that stands still, without a lens, in focus at the scene's size, for paths of K parts: 1, 2, 4 or 8.
     #[must_use]
-    pub fn still(num_frames: usize, degree: usize, options: (&Device, DType)) -> Self {
+    pub fn still(num_frames: usize, parts: usize, options: (&Device, DType)) -> Self {
         Self {
-            paths: Tensor::zeros([num_frames, RIGID * degree], options),
-            offsets: Tensor::zeros([num_frames, RIGID], options),
+            paths: Tensor::zeros([num_frames, RIGID * parts], options),
             focus: Tensor::ones([num_frames, 1], options),
             aperture: Tensor::zeros([1, 1], options),
             shutter: Tensor::zeros([1, 1], options),
         }
     }
 
-    /// Degree D of the paths.
+    /// Number K of the paths' parts.
     #[must_use]
-    pub fn degree(&self) -> usize {
+    pub fn parts(&self) -> usize {
         self.paths.dims()[1] / RIGID
     }
 
-    /// The pose in the middle of a frame's exposure, [3, 4]; `given` is the frame's pose, `size` the scene's size S.
-    ///
-    /// # Panics
-    /// Where there is no such frame.
-    #[must_use]
-    pub fn middle(&self, frame: usize, given: &Tensor<2>, size: f64) -> Tensor<2> {
-        let offset = self.offsets.clone().narrow(0, frame, 1);
-        moved(offset, given, size).reshape([3, 4])
-    }
-
-    /// The poses of a frame's samples, [n, 3, 4]; `given` is the frame's pose, [3, 4], `size` the scene's size S.
+    /// The poses of a frame's samples, [n, 3, 4]; `middle` is the frame's pose, [3, 4], `size` the scene's size S.
     ///
     /// # Panics
     /// Where there is no such frame or no sample.
@@ -67,21 +56,21 @@ impl Capture {
     pub fn poses(
         &self,
         frame: usize,
-        given: &Tensor<2>,
+        middle: &Tensor<2>,
         samples: &[Sample],
         size: f64,
     ) -> Tensor<3> {
         assert!(!samples.is_empty(), "an exposure without samples");
-        let (n, degree) = (samples.len(), self.degree());
-        let options = (&given.device(), given.dtype());
+        let (n, parts) = (samples.len(), self.parts());
+        let options = (&middle.device(), middle.dtype());
         let row = |tensor: &Tensor<2>| tensor.clone().narrow(0, frame, 1);
-        let powers: Vec<f64> = samples
+        let shapes: Vec<f64> = samples
             .iter()
-            .flat_map(|sample| (1..=degree).map(|k| sample.moment.powi(k as i32)))
+            .flat_map(|sample| (0..parts).map(|k| shape(k, sample.moment)))
             .collect();
-        let powers = Tensor::<2>::from_data(TensorData::new(powers, [n, degree]), options);
-        let path = powers.matmul(row(&self.paths).reshape([degree, RIGID])); // [n, 6]
-        let rigid = moved(path + row(&self.offsets), given, size);
+        let shapes = Tensor::<2>::from_data(TensorData::new(shapes, [n, parts]), options);
+        let path = shapes.matmul(row(&self.paths).reshape([parts, RIGID])); // [n, 6]
+        let rigid = moved(path, middle, size);
 
         let points: Vec<f64> = samples.iter().flat_map(|sample| sample.lens).collect();
         let points = Tensor::<2>::from_data(TensorData::new(points, [n, 2]), options);
@@ -102,6 +91,21 @@ impl Capture {
         moments * self.shutter.clone().reshape([1])
     }
 
+    /// How far the mean of a frame's path lies from the middle of its exposure in the image at the depth S, focal lengths
+    /// (x, y): [1, 2].
+    ///
+    /// # Panics
+    /// Where there is no such frame.
+    #[must_use]
+    pub fn mean_shift(&self, frame: usize) -> Tensor<2> {
+        let parts = self.parts();
+        let options = (&self.paths.device(), self.paths.dtype());
+        let means: Vec<f64> = (0..parts).map(mean).collect();
+        let means = Tensor::<2>::from_data(TensorData::new(means, [1, parts]), options);
+        let path = self.paths.clone().narrow(0, frame, 1);
+        shift_in_image(means.matmul(path.reshape([parts, RIGID])))
+    }
+
     /// Length of a frame's path in the image at the depth S, px; `focal_px` is the focal length.
     ///
     /// What turns around the optical axis is not counted.
@@ -115,9 +119,9 @@ impl Capture {
         let at = |s: f64| -> [f64; 2] {
             let mut place = [0.0; 2];
             for (k, step) in path.chunks_exact(RIGID).enumerate() {
-                let power = s.powi(k as i32 + 1);
-                place[0] += power * (step[1] + step[3]);
-                place[1] += power * (step[4] - step[0]);
+                let shape = shape(k, s);
+                place[0] += shape * (step[1] + step[3]);
+                place[1] += shape * (step[4] - step[0]);
             }
             place
         };
@@ -140,21 +144,6 @@ impl Capture {
         let focus = numbers(&self.focus.clone().narrow(0, frame, 1))[0];
         2.0 * focal_px * (numbers(&self.aperture)[0] * (focus - disparity)).abs()
     }
-}
-
-/// `given` behind rigid motions [n, 6]: [n, 3, 4].
-fn moved(six: Tensor<2>, given: &Tensor<2>, size: f64) -> Tensor<3> {
-    let [n, _] = six.dims();
-    let turned = rotations(six.clone().narrow(1, 0, 3))
-        .matmul(given.clone().reshape([1, 3, 4]).expand([n, 3, 4]));
-    let shift = (six.narrow(1, 3, 3) * size).reshape([n, 3, 1]);
-    Tensor::cat(
-        vec![
-            turned.clone().narrow(2, 0, 3),
-            turned.narrow(2, 3, 1) + shift,
-        ],
-        2,
-    )
 }
 
 fn numbers(tensor: &Tensor<2>) -> Vec<f64> {
@@ -192,8 +181,7 @@ mod tests {
                 .collect()
         };
         Capture {
-            paths: tensor(some(24, 0.02), [2, 12]),
-            offsets: tensor(some(12, 0.01), [2, 6]),
+            paths: tensor(some(48, 0.02), [2, 24]),
             focus: tensor(vec![1.3, 0.8], [2, 1]),
             aperture: tensor(vec![0.02], [1, 1]),
             shutter: tensor(vec![0.9], [1, 1]),
@@ -208,8 +196,6 @@ mod tests {
     #[test]
     fn the_middle_of_a_still_camera_is_the_given_pose() {
         let still = Capture::still(2, 3, (&device(), DType::F64));
-        let middle = still.middle(1, &given(), SIZE);
-        assert_eq!(values(&middle), values(&given()));
         let poses = still.poses(1, &given(), &samples(4, [0.2, 0.7]), SIZE);
         assert_eq!(values(&poses), values(&given()).repeat(4));
     }
@@ -217,7 +203,7 @@ mod tests {
     #[test]
     fn one_sample_is_the_middle_of_the_exposure() {
         let capture = capture();
-        let middle = values(&capture.middle(1, &given(), SIZE));
+        let middle = values(&given());
         let poses = values(&capture.poses(1, &given(), &samples(1, [0.3, 0.3]), SIZE));
         for (a, b) in middle.iter().zip(&poses) {
             assert!((a - b).abs() < 1e-15, "{a} {b}");
@@ -236,7 +222,7 @@ mod tests {
     fn what_is_in_focus_stays_where_it_is_from_every_point_of_the_lens() {
         let mut capture = capture();
         capture.paths = capture.paths.clone() * 0.0;
-        let middle = values(&capture.middle(0, &given(), SIZE));
+        let middle = values(&given());
         let poses = values(&capture.poses(0, &given(), &samples(9, [0.5, 0.1]), SIZE));
         // A point of the camera's at (0.2, -0.1) and some depth, taken back to the world.
         let at_depth = |depth: f64| -> [f64; 3] {
@@ -317,9 +303,8 @@ mod tests {
             poses.sum() + capture.moments(&taken).square().sum()
         };
         type Field = fn(&mut Capture) -> &mut Tensor<2>;
-        let fields: [(&str, Field); 5] = [
+        let fields: [(&str, Field); 4] = [
             ("paths", |c| &mut c.paths),
-            ("offsets", |c| &mut c.offsets),
             ("focus", |c| &mut c.focus),
             ("aperture", |c| &mut c.aperture),
             ("shutter", |c| &mut c.shutter),

@@ -2,6 +2,39 @@
 
 use burn::tensor::{Tensor, TensorData};
 
+/// A pose [3, 4] behind rigid motions [n, 6], in the camera's axes: rotation vectors (rad) and translations in units of
+/// `size`. Returns [n, 3, 4].
+#[must_use]
+pub fn moved(motions: Tensor<2>, pose: &Tensor<2>, size: f64) -> Tensor<3> {
+    let [n, _] = motions.dims();
+    let turned = rotations(motions.clone().narrow(1, 0, 3))
+        .matmul(pose.clone().reshape([1, 3, 4]).expand([n, 3, 4]));
+    let shift = (motions.narrow(1, 3, 3) * size).reshape([n, 3, 1]);
+    Tensor::cat(
+        vec![
+            turned.clone().narrow(2, 0, 3),
+            turned.narrow(2, 3, 1) + shift,
+        ],
+        2,
+    )
+}
+
+/// How far rigid motions [n, 6] of a camera shift what is ahead at the depth S in the image, focal lengths (x, y): [n, 2].
+#[must_use]
+pub fn shift_in_image(motions: Tensor<2>) -> Tensor<2> {
+    let options = (&motions.device(), motions.dtype());
+    // A turn of (x, y) shifts it by (y, -x), a translation of one S by one.
+    let rows = [
+        [0.0, -1.0],
+        [1.0, 0.0],
+        [0.0, 0.0],
+        [1.0, 0.0],
+        [0.0, 1.0],
+        [0.0, 0.0],
+    ];
+    motions.matmul(Tensor::from_data(rows, options))
+}
+
 /// Rotations [n, 3, 3] of rotation vectors [n, 3] (Rodrigues); the derivative at 0 is finite.
 pub(crate) fn rotations(vectors: Tensor<2>) -> Tensor<3> {
     let [n, _] = vectors.dims();

@@ -110,17 +110,17 @@ impl BlurModel {
         }
     }
 
-    /// Where the camera was in a frame of the given pose at moments from -1/2 to 1/2 of its exposure, and how long after the
+    /// Where the camera was in a frame of some pose at moments from -1/2 to 1/2 of its exposure, and how long after the
     /// frame's own time that was, in units of frames; `None` where the model does not know.
     pub(crate) fn taken(
         &self,
         frame: usize,
-        given: &DAffine3,
+        middle: &DAffine3,
         moments: impl Iterator<Item = f64>,
     ) -> Option<Vec<(f64, DAffine3)>> {
         match self {
             Self::Off | Self::Kernels(_) => None,
-            Self::Camera(camera) => Some(camera.taken(frame, given, moments)),
+            Self::Camera(camera) => Some(camera.taken(frame, middle, moments)),
         }
     }
 
@@ -129,13 +129,6 @@ impl BlurModel {
         match (self, trace) {
             (Self::Kernels(kernels), Trace::Kernels(trace)) => kernels.learned(frame, *trace),
             (Self::Off | Self::Kernels(_) | Self::Camera(_), _) => {}
-        }
-    }
-
-    /// Holds after each iteration what all frames have in common, where that is the scene's.
-    pub(crate) fn hold(&mut self) {
-        if let Self::Camera(camera) = self {
-            camera.hold();
         }
     }
 

@@ -8,6 +8,7 @@
 use crate::TrainError;
 use crate::adam::{AdamState, Steps};
 use crate::blur::BlurModel;
+use crate::corrections::Corrections;
 use crate::density::DensityStats;
 use crate::error::{CheckpointProblem, OtherScene};
 use crate::model::Model;
@@ -29,7 +30,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// Version of the file's layout; others are refused.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 
 /// Name of the file in a checkpoint's folder.
 pub const FILE_NAME: &str = "state.safetensors";
@@ -168,7 +169,10 @@ impl Run {
         let (settings, survey) = (&header.settings, &header.survey);
         let mut blur = BlurModel::new(settings, survey, &header.views, (&device, DType::F32))
             .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
-        for (parameter, tensor) in blur.parameters_mut() {
+        let mut corrections =
+            Corrections::new(settings, survey, &header.views, (&device, DType::F32));
+        let others = blur.parameters_mut();
+        for (parameter, tensor) in others.into_iter().chain(corrections.parameters_mut()) {
             let read = leaf(&parameter.name)?;
             check_shape(&parameter.name, &read, tensor.dims())?;
             *tensor = read;
@@ -178,7 +182,11 @@ impl Run {
             check_shape(name, &table, shape)?;
             Ok::<_, CheckpointProblem>(table)
         })?;
-        let model = Model { world, blur };
+        let model = Model {
+            world,
+            blur,
+            corrections,
+        };
 
         let mut optimizer = Optimizer::default();
         for (name, steps) in &header.adam_steps {

@@ -33,7 +33,9 @@ pub mod settings;
 )]
 mod backends;
 mod blur;
+mod brightness;
 mod checkpoint;
+mod corrections;
 mod cpu;
 mod dynamics;
 mod error;
@@ -74,6 +76,7 @@ pub use blur::{
 };
 pub use burn::tensor::Device;
 pub use checkpoint::FILE_NAME as CHECKPOINT_FILE;
+pub use corrections::{Corrections, FrameCorrection};
 pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError};
 pub use glam;
 pub use model::Model;

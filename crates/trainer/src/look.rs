@@ -4,10 +4,11 @@ use crate::TrainError;
 use crate::views::{CameraView, ViewRef};
 use crate::world::{Posed, World};
 use burn::tensor::Tensor;
-use splat_core::{Extra, Rendered, Viewpoint, render};
+use splat_core::{Extra, Rendered, Splats, Viewpoint, render};
 use tracing::trace_span;
 
 /// What is looked at, and how.
+#[derive(Clone)]
 pub(crate) struct Look<'a> {
     pub(crate) viewpoint: &'a CameraView,
     /// The training frame whose blur is shown; `None` for a sharp view.
@@ -17,19 +18,35 @@ pub(crate) struct Look<'a> {
     pub(crate) sh_degree: usize,
     /// The view that is learned from, for the blur model's own terms of the loss.
     pub(crate) view: Option<&'a ViewRef<'a>>,
+    /// The frame's pose, [3, 4], where the given one is corrected.
+    pub(crate) pose: Option<Tensor<2>>,
+    /// By how much the frame is brighter than the others, `[1, 1]`; `None` where it is not.
+    pub(crate) gain: Option<Tensor<2>>,
     /// Receives the norms of the screen-space gradient, `[N]`.
     pub(crate) screen_grad: Option<Tensor<1>>,
 }
 
 impl Look<'_> {
-    /// Its viewpoint as the renderer takes it, with the pose that was given.
-    pub(crate) fn viewpoint_of(&self, posed: &Posed) -> Viewpoint {
+    /// Its viewpoint as the renderer takes it.
+    pub(crate) fn viewpoint_of(&self, splats: &Splats) -> Viewpoint {
         let CameraView {
             camera,
             cam_from_world,
             ..
         } = self.viewpoint;
-        Viewpoint::new(camera, cam_from_world, self.sh_degree, &posed.splats)
+        let mut viewpoint = Viewpoint::new(camera, cam_from_world, self.sh_degree, splats);
+        if let Some(pose) = &self.pose {
+            viewpoint.cam_from_world = pose.clone();
+        }
+        viewpoint
+    }
+
+    /// A picture as bright as the frame is.
+    pub(crate) fn gained(&self, picture: Tensor<3>) -> Tensor<3> {
+        match &self.gain {
+            Some(gain) => picture * gain.clone().reshape([1, 1, 1]),
+            None => picture,
+        }
     }
 }
 
@@ -103,7 +120,7 @@ impl Terms {
 /// The scene as a camera without blur sees it: posed at the look's time, rendered.
 pub(crate) fn render_sharp(world: &World, look: &Look<'_>) -> Result<Rendered, TrainError> {
     let posed = trace_span!("pose").in_scope(|| world.pose(look.viewpoint.time));
-    let viewpoint = look.viewpoint_of(&posed);
+    let viewpoint = look.viewpoint_of(&posed.splats);
     render_posed(posed, &viewpoint, look.screen_grad.clone())
 }
 

@@ -87,6 +87,14 @@ pub fn detail_loss(render: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
     sum
 }
 
+/// Squared length in px of a frame's shift [1, 2], which is in focal lengths. Shape `[1]`.
+///
+/// What all frames' shifts have in common with where they were taken from is nothing that pictures tell: a scene at other
+/// depths makes up for it.
+pub(crate) fn shift_loss(shift: Tensor<2>, focal_px: f64) -> Tensor<1> {
+    shift.mul_scalar(focal_px).square().sum().reshape([1])
+}
+
 /// L1 between the sharp render and the blurry frame after both are averaged over blocks of `factor` x `factor` pixels.
 ///
 /// Both are [H, W, 3]. Rows and columns that fill no block are left out; a picture smaller than one block is averaged whole.
@@ -151,6 +159,48 @@ pub fn depth_loss(
     let nearest = NEAREST * scene_size;
     let rendered = (depth * per_alpha).clamp_min(nearest).recip() * scene_size;
     ((rendered - wanted).abs() * weight).sum()
+}
+
+/// Differences of disparity (times S) that count in [`depth_shift_loss`]: larger ones are of depth edges.
+const SHIFT_RANGE: f64 = 0.05;
+
+/// Square of the mean difference between the rendered disparity and that of sparse points, times the scene size S; shape `[1]`.
+///
+/// [`depth_loss`] fits scale and shift of each frame's disparity, and so says nothing about how far away all is. Where frames
+/// may be shifted (by the means of their paths, by offsets), pictures hardly say it either: what all disparities have in
+/// common is a shift that goes with the camera's place. Sparse points know it well on average.
+///
+/// `points` [H, W] is their z-depth, 0 where there is none. They count where alpha is above 0.5; differences are clamped to
+/// 0.05. Zero where none counts.
+///
+/// # Panics
+/// Panics if the sizes do not agree, or the dtypes of `depth` and `alpha`.
+#[must_use]
+pub fn depth_shift_loss(
+    depth: Tensor<2>,
+    alpha: &Tensor<2>,
+    points: &[f32],
+    scene_size: f64,
+) -> Tensor<1> {
+    let options = (&depth.device(), depth.dtype());
+    let shape = depth.dims();
+    assert_eq!(shape, alpha.dims(), "depth and alpha of one render");
+    assert_eq!(points.len(), shape[0] * shape[1], "one depth per pixel");
+    let near = NEAREST * scene_size;
+    let wanted = points.iter().map(|&z| match z > 0.0 {
+        true => scene_size / f64::from(z).max(near),
+        false => 0.0,
+    });
+    let wanted: Vec<f64> = wanted.collect();
+    let counts = points.iter().map(|&z| f64::from(u8::from(z > 0.0)));
+    let counts: Vec<f64> = counts.collect();
+    let map = |values| Tensor::<2>::from_data(TensorData::new(values, shape), options);
+    let alpha = alpha.clone().detach();
+    let counts = map(counts) * alpha.clone().greater_elem(0.5).float().cast(options.1);
+    let rendered = (depth / alpha.clamp_min(0.5)).clamp_min(near);
+    let difference = rendered.recip().mul_scalar(scene_size) - map(wanted);
+    let sum = (difference.clamp(-SHIFT_RANGE, SHIFT_RANGE) * counts.clone()).sum();
+    (sum / counts.sum().clamp_min(1.0)).square()
 }
 
 /// The band's width in pixels for a picture of this width: 2 at 256, in proportion, at least 1.

@@ -2,6 +2,7 @@
 
 use crate::TrainError;
 use crate::blur::{BlurModel, Shown};
+use crate::corrections::Corrections;
 use crate::look::Look;
 use crate::parameter::Parameter;
 use crate::tensors::constant;
@@ -16,6 +17,8 @@ pub struct Model {
     pub world: World,
     /// How frames were blurred.
     pub blur: BlurModel,
+    /// What was given wrong of them.
+    pub corrections: Corrections,
 }
 
 impl Model {
@@ -43,25 +46,41 @@ impl Model {
 
     /// All parameters, to be replaced.
     pub fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
-        let Self { world, blur } = self;
+        let Self {
+            world,
+            blur,
+            corrections,
+        } = self;
         let mut all = world.parameters_mut();
         all.extend(blur.parameters_mut());
+        all.extend(corrections.parameters_mut());
         all
     }
 
     /// The same values without a graph behind them: for evaluation.
     #[must_use]
     pub fn detached(&self) -> Self {
-        let (world, mut blur) = (self.world.detached(), self.blur.clone());
-        for (_, tensor) in blur.parameters_mut() {
+        let mut detached = Self {
+            world: self.world.detached(),
+            ..self.clone()
+        };
+        let Self {
+            blur, corrections, ..
+        } = &mut detached;
+        let others = blur.parameters_mut();
+        for (_, tensor) in others.into_iter().chain(corrections.parameters_mut()) {
             *tensor = constant(tensor);
         }
-        Self { world, blur }
+        detached
     }
 
     /// What it shows at a look; see [`BlurModel::show`].
     pub(crate) fn show(&self, look: &Look<'_>, fixed: Option<&Shown>) -> Result<Shown, TrainError> {
-        self.blur.show(&self.world, look, fixed)
+        let look = self.corrections.applied(look);
+        let mut shown = self.blur.show(&self.world, &look, fixed)?;
+        shown.seen = look.gained(shown.seen);
+        self.corrections.add_terms(&look, &mut shown.terms);
+        Ok(shown)
     }
 
     /// Plain arrays for a file: the scene at a time (training frames, may be fractional), or the canonical scene.

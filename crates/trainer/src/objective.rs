@@ -32,12 +32,22 @@ impl Objective<'_> {
         let weights = &plan.settings.loss;
         let rendered = &shown.rendered;
         terms.add("image", 1.0, || {
-            losses::photometric(shown.seen.clone(), target, weights.ssim)
+            losses::photometric(shown.seen.clone(), target.clone(), weights.ssim)
+        });
+        terms.add("detail", weights.detail, || {
+            losses::detail_loss(shown.seen.clone(), target)
         });
         if let Some(depth) = view.depth {
             terms.add("depth", weights.depth, || {
                 let alpha = fixed.rendered.alpha();
                 losses::depth_loss(rendered.depth(), &alpha, depth, plan.survey.scene_size)
+            });
+        }
+        if let Some(points) = view.points {
+            terms.add("depth_shift", weights.depth_shift, || {
+                let alpha = fixed.rendered.alpha();
+                let size = plan.survey.scene_size;
+                losses::depth_shift_loss(rendered.depth(), &alpha, points, size)
             });
         }
         if let (Some(mask), Some(dynamic)) = (view.mask, rendered.features()) {

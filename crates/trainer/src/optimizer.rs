@@ -90,12 +90,13 @@ pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize
             r.blur * boost * decay(share, length)
         }
         Group::CameraPath => return rigid(r.camera_path * camera, columns),
-        Group::CameraOffset => return rigid(r.camera_offset * camera, columns),
         Group::CameraFocus => r.camera_focus * camera,
         // Before its frames have found their focus an aperture shrinks to nothing, where it has no gradient.
         Group::CameraAperture if schedule.blur_moments.last() >= Some(&it) => 0.0,
         Group::CameraAperture => r.camera_aperture * camera,
         Group::CameraShutter => r.camera_shutter * camera,
+        Group::FrameOffset => return rigid(r.frame_offset * camera, columns),
+        Group::FrameGain => r.frame_gain * camera,
     })
 }
 

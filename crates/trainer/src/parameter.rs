@@ -23,14 +23,16 @@ pub enum Group {
     BlurNet,
     /// Paths of the camera while the shutter is open.
     CameraPath,
-    /// Offsets from the given poses.
-    CameraOffset,
     /// Disparities of focus.
     CameraFocus,
     /// Aperture of the lens.
     CameraAperture,
     /// Time for which the shutter is open.
     CameraShutter,
+    /// Offsets from the given poses.
+    FrameOffset,
+    /// Logarithms of the frames' gains.
+    FrameGain,
 }
 
 /// What a row of a parameter belongs to.
@@ -71,7 +73,9 @@ impl Parameter {
                 Rows::Gaussians
             }
             Group::MotionCoefficients => Rows::DynamicGaussians,
-            Group::CameraPath | Group::CameraOffset | Group::CameraFocus => Rows::Frames,
+            Group::CameraPath | Group::CameraFocus | Group::FrameOffset | Group::FrameGain => {
+                Rows::Frames
+            }
             // BP-Net's embeddings have a row per frame, but the paper steps them as one tensor.
             Group::BasisRotations
             | Group::BasisTranslations

@@ -71,10 +71,11 @@ impl Trainer {
                 | Group::BasisTranslations
                 | Group::BlurNet
                 | Group::CameraPath
-                | Group::CameraOffset
                 | Group::CameraFocus
                 | Group::CameraAperture
-                | Group::CameraShutter => return gather_rows(tensor, edit),
+                | Group::CameraShutter
+                | Group::FrameOffset
+                | Group::FrameGain => return gather_rows(tensor, edit),
             };
             insert_rows(tensor, dynamic, rows)
         });

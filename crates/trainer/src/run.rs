@@ -143,6 +143,8 @@ impl Run {
             iteration: it,
             sh_degree: self.plan.schedule.sh_degree_at(it),
             view: None,
+            pose: None,
+            gain: None,
             screen_grad: None,
         }
     }

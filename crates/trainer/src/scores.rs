@@ -2,6 +2,7 @@
 
 use crate::TrainError;
 use crate::blur::{BlurFigures, FigureSums};
+use crate::corrections::FrameCorrection;
 use crate::metrics::{masked_psnr, psnr, ssim};
 use crate::placement::dilate;
 use crate::run::Run;
@@ -24,6 +25,9 @@ pub struct Evaluation {
     /// What the blur model says of itself; absent without one.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub blur: Option<BlurFigures>,
+    /// What was corrected of the training frames; absent where nothing is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub corrections: Option<Vec<FrameCorrection>>,
 }
 
 /// How many Gaussians there are.
@@ -143,6 +147,7 @@ impl Run {
                 dynamic: model.num_dynamic(),
             },
             blur: figures.figures(),
+            corrections: model.corrections.figures(&self.views().train),
         })
     }
 }

@@ -27,6 +27,8 @@ pub struct Settings {
     pub blur: BlurSettings,
     /// The blur model `camera`.
     pub camera: CameraSettings,
+    /// What may have been given wrong of the training frames.
+    pub frames: FrameSettings,
     /// Unseen views.
     pub unseen: UnseenSettings,
     /// Weights of the losses.
@@ -46,6 +48,7 @@ impl Default for Settings {
             motion: MotionSettings::default(),
             blur: BlurSettings::default(),
             camera: CameraSettings::default(),
+            frames: FrameSettings::default(),
             unseen: UnseenSettings::default(),
             loss: LossSettings::default(),
             learning_rates: LearningRates::default(),
@@ -153,11 +156,11 @@ impl Default for MotionSettings {
     }
 }
 
-/// When unseen views are used.
+/// When something is used that not every scene requires.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum UnseenUse {
-    /// Unless the camera explains blur: warping blurs a frame once more, which no camera did.
+pub enum When {
+    /// Where the scene requires it.
     #[default]
     Auto,
     /// Always.
@@ -166,12 +169,35 @@ pub enum UnseenUse {
     Never,
 }
 
+impl When {
+    /// Whether it is used where a scene requires it or does not.
+    #[must_use]
+    pub fn holds(self, required: bool) -> bool {
+        match self {
+            Self::Auto => required,
+            Self::Always => true,
+            Self::Never => false,
+        }
+    }
+}
+
+/// What may have been given wrong of the training frames.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FrameSettings {
+    /// Whether the given poses are refined, from the middle of the run on.
+    pub offsets: bool,
+    /// When each frame has a gain of its own, for auto-exposure: by default where the survey finds that frames differ.
+    pub gains: When,
+}
+
 /// Unseen views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnseenSettings {
-    /// When unseen views are used.
-    pub when: UnseenUse,
+    /// When unseen views are used: by default unless the camera explains blur, since warping blurs a frame once more, which no
+    /// camera did.
+    pub when: When,
     /// Unseen views start after this iteration (of 40,000).
     pub from: usize,
     /// Every so many iterations is an unseen view (paper, N_u; not scaled).
@@ -187,7 +213,7 @@ pub struct UnseenSettings {
 impl Default for UnseenSettings {
     fn default() -> Self {
         Self {
-            when: UnseenUse::Auto,
+            when: When::Auto,
             from: 3000,
             every: 5,
             offset: 0.05,
@@ -205,6 +231,8 @@ pub struct LossSettings {
     pub ssim: f64,
     /// Disparity L1.
     pub depth: f64,
+    /// Square of the mean difference in disparity to the sparse points.
+    pub depth_shift: f64,
     /// Dynamic mask L1.
     pub mask: f64,
     /// Kernel-centre loss L_spa.
@@ -215,7 +243,10 @@ pub struct LossSettings {
     pub intensity: f64,
     /// The gauge on the kernels' common shift.
     pub gauge: f64,
-    /// Fine detail of what the camera is said to have seen against the frame; where the camera explains blur.
+    /// Square of how far a frame is shifted by the mean of its path and by its offset, px. A drift of them over the video is
+    /// nothing that frames tell, since other depths make up for it: this holds it at zero.
+    pub frame_shift: f64,
+    /// Fine detail of what the camera is said to have seen against the frame.
     pub detail: f64,
     /// Four times smaller sharp render against the blurry frame.
     pub downsample: f64,
@@ -234,11 +265,13 @@ impl Default for LossSettings {
         Self {
             ssim: 0.2,
             depth: 0.075,
+            depth_shift: 100.0,
             mask: 0.075,
             kernel_center: 0.001,
             kernel_center_from: 5500,
             intensity: 0.0,
             gauge: 0.1,
+            frame_shift: 0.02,
             detail: 1.0,
             downsample: 0.0,
             downsample_after: 1000,
@@ -289,15 +322,17 @@ pub struct LearningRates {
     pub short_run_boost: f64,
     /// The camera's paths: rotation vectors, rad. Translations, in units of S, learn at a fifth of it.
     pub camera_path: f64,
-    /// Offsets from the given poses, likewise.
-    pub camera_offset: f64,
     /// Disparities of focus (S / distance).
     pub camera_focus: f64,
     /// Radius of the lens, in units of S.
     pub camera_aperture: f64,
     /// Time for which the shutter is open, in units of frames.
     pub camera_shutter: f64,
-    /// All of these at the end, as a share of the start.
+    /// Offsets from the given poses, as paths.
+    pub frame_offset: f64,
+    /// Logarithms of the frames' gains.
+    pub frame_gain: f64,
+    /// The camera's and the frames' at the end, as a share of the start.
     pub camera_final_share: f64,
 }
 
@@ -321,18 +356,19 @@ impl Default for LearningRates {
             blur_short_run_share: 0.1,
             short_run_boost: 4.0,
             camera_path: 3e-3,
-            camera_offset: 6e-4,
             camera_focus: 2e-2,
             camera_aperture: 1e-4,
             camera_shutter: 5e-3,
+            frame_offset: 6e-4,
+            frame_gain: 1e-2,
             camera_final_share: 0.05,
         }
     }
 }
 
 impl Settings {
-    /// The paper's text where it differs from the defaults: kernels in the place of the camera; motion and blur learn at constant rates, no
-    /// hold, no gauge, the blur model's head as a framework initialises it (the paper says nothing about it).
+    /// The paper's text where it differs from the defaults: kernels in the place of the camera; no loss on fine detail or shifts; motion and blur learn at
+    /// constant rates, no hold, no gauge, the blur model's head as a framework initialises it (the paper says nothing about it).
     #[must_use]
     pub fn paper() -> Self {
         let mut settings = Self::default();
@@ -343,6 +379,9 @@ impl Settings {
         settings.blur.hold = 0;
         settings.blur.mild_start = false;
         settings.loss.gauge = 0.0;
+        settings.loss.detail = 0.0;
+        settings.loss.depth_shift = 0.0;
+        settings.loss.frame_shift = 0.0;
         settings
     }
 }

@@ -101,6 +101,7 @@ impl Trainer {
             state.model.blur.learned(frame, trace);
         }
         self.step_parameters(it, frame, gradients);
+        self.run.state.model.corrections.hold();
         self.change_gaussians(it);
 
         let progress = &mut self.run.state.progress;
@@ -138,14 +139,15 @@ impl Trainer {
     /// Lets the blur model do what it does once `it` iterations are done.
     fn change_blur(&mut self, it: usize) -> Result<(), TrainError> {
         let Self { run, data } = self;
-        run.state.model.blur.hold();
         if !run.state.model.blur.revises(it) {
             return Ok(());
         }
         let mut blur = run.state.model.blur.clone();
-        let training = |frame| ViewRef::training(&run.plan.views, &data.scene, frame);
+        let training = |frame| ViewRef::training(&run.plan.views, data, frame);
         let views: Vec<_> = (0..run.plan.views.train.len()).map(training).collect();
-        let looks: Vec<_> = views.iter().map(|view| run.look_at(view, it)).collect();
+        let corrections = run.state.model.detached().corrections;
+        let looks = views.iter().map(|view| run.look_at(view, it));
+        let looks: Vec<_> = looks.map(|look| corrections.applied(&look)).collect();
         let changed = blur.revise(&run.state.model.world, &looks)?;
         run.state.model.blur = blur;
         for (parameter, rows) in changed {
@@ -230,6 +232,7 @@ fn take_gradients(
 mod tests {
     use super::*;
     use crate::blur::BlurModel;
+    use crate::corrections::Corrections;
     use crate::world::World;
     use burn::tensor::Device;
 
@@ -248,6 +251,7 @@ mod tests {
                 motion: None,
             },
             blur: BlurModel::Off,
+            corrections: Corrections::default(),
         };
         let constant = Tensor::<1>::zeros([1], &device);
         assert!(check_gradients(&model, &constant).is_ok());

@@ -1,5 +1,6 @@
 //! Looks at a scene before training: its size, its depth against the sparse points, and what there is to model.
 
+use crate::brightness::{brightness_change, gains_differ};
 use crate::error::{SceneProblem, TrainError};
 use crate::sharpness::{is_blurred, sharpness_change};
 use io::{Frame, Map, Scene, SparsePoint};
@@ -20,6 +21,10 @@ pub struct Survey {
     pub sharpness_change: Option<f64>,
     /// Frames differ more in sharpness than those of a sharp video do, or it cannot be told.
     pub blurred: bool,
+    /// Median change of what frames have in common in brightness, as a factor's logarithm; `None` where that cannot be told.
+    pub brightness_change: Option<f64>,
+    /// Frames differ more in brightness than those of a fixed exposure do.
+    pub gains_differ: bool,
     /// What was decided and why, for people.
     pub notes: Vec<String>,
 }
@@ -100,6 +105,7 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         (false, ..) => "no movers: no motion bases".to_owned(),
     });
     let sharpness_change = sharpness_change(&scene.frames);
+    let brightness_change = brightness_change(&scene.frames);
     Ok(Survey {
         scene_size,
         depth_range: [near, far],
@@ -107,6 +113,8 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         depth,
         sharpness_change,
         blurred: sharpness_change.is_none_or(is_blurred),
+        brightness_change,
+        gains_differ: brightness_change.is_some_and(gains_differ),
         notes,
     })
 }
@@ -138,29 +146,54 @@ fn sparse_depths(scene: &Scene) -> Vec<f32> {
 /// Fewer sparse points than this in a frame say too little about its depth.
 const MIN_POINTS: usize = 20;
 
+/// Points whose disparity differs by more than this share from a frame's depth are hidden there.
+const HIDDEN: f64 = 0.05;
+
+/// The sparse points that a frame sees where nothing moves: index of the pixel, and z-depth; hidden ones as well.
+fn points_in<'a>(
+    frame: &'a Frame,
+    points: &'a [SparsePoint],
+) -> impl Iterator<Item = (usize, f64)> + 'a {
+    let (view, [width, height]) = (
+        &frame.view,
+        [frame.view.camera.width, frame.view.camera.height],
+    );
+    points.iter().filter_map(move |point| {
+        let c = view.cam_from_world.transform_point3(point.position);
+        let pixel = view.camera.project(c);
+        let inside = c.z > 0.0
+            && (0.0..width as f64).contains(&pixel.x)
+            && (0.0..height as f64).contains(&pixel.y);
+        let i = inside.then(|| pixel.y as usize * width + pixel.x as usize)?;
+        let moving = frame.mask.as_ref().is_some_and(|m| m.values[i] > 0.0);
+        (!moving).then_some((i, c.z))
+    })
+}
+
+/// z-depth of the sparse points in a frame, 0 where there is none, [H, W]; without those that its own depth, aligned to
+/// them, hides. `None` where there are too few.
+pub(crate) fn point_depths(frame: &Frame, points: &[SparsePoint]) -> Option<Vec<f32>> {
+    let depth = frame.depth.as_ref()?;
+    let mut map = vec![0.0; depth.values.len()];
+    for (i, z) in points_in(frame, points) {
+        let away = z / f64::from(depth.values[i]) - 1.0;
+        if away.abs() < HIDDEN {
+            map[i] = z as f32;
+        }
+    }
+    let count = map.iter().filter(|z| **z > 0.0).count();
+    (count >= MIN_POINTS).then_some(map)
+}
+
 /// Robust scale and shift of a frame's disparity against the sparse points: least absolute
 /// differences by re-weighted least squares. `None` where there are too few points.
 fn fit_to_points(frame: &Frame, points: &[SparsePoint]) -> Option<(f64, f64)> {
-    let (depth, view) = (frame.depth.as_ref()?, &frame.view);
-    let mut pairs = Vec::new();
-    for point in points {
-        let c = view.cam_from_world.transform_point3(point.position);
-        if c.z <= 0.0 {
-            continue;
-        }
-        let pixel = view.camera.project(c);
-        if !(0.0..depth.width as f64).contains(&pixel.x)
-            || !(0.0..depth.height as f64).contains(&pixel.y)
-        {
-            continue;
-        }
-        let i = pixel.y as usize * depth.width + pixel.x as usize;
-        let moving = frame.mask.as_ref().is_some_and(|m| m.values[i] > 0.0);
+    let depth = frame.depth.as_ref()?;
+    let pairs = points_in(frame, points).filter_map(|(i, point)| {
         let z = f64::from(depth.values[i]);
-        if z > 0.0 && !moving {
-            pairs.push((1.0 / z, 1.0 / c.z));
-        }
-    }
+        (z > 0.0).then_some((1.0 / z, 1.0 / point))
+    });
+    let pairs: Vec<(f64, f64)> = pairs.collect();
     if pairs.len() < MIN_POINTS {
         return None;
     }

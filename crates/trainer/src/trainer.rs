@@ -3,6 +3,7 @@
 use crate::TrainError;
 use crate::blur::BlurModel;
 use crate::checkpoint::FILE_NAME;
+use crate::corrections::Corrections;
 use crate::dynamics::start_dynamics;
 use crate::error::{CheckpointProblem, OtherScene, SceneProblem};
 use crate::model::Model;
@@ -13,9 +14,9 @@ use crate::random::{Purpose, generator, permutation};
 use crate::run::Run;
 use crate::schedule::Schedule;
 use crate::scores::Evaluation;
-use crate::settings::{BlurKind, Settings};
+use crate::settings::{BlurKind, Settings, When};
 use crate::state::State;
-use crate::survey::{Survey, survey};
+use crate::survey::{Survey, point_depths, survey};
 use crate::tensors::tensor;
 use crate::unseen::unseen_views;
 use crate::views::{UnseenView, ViewRef, Views};
@@ -40,6 +41,20 @@ pub(crate) struct Data {
     /// The scene, its depth aligned to the sparse points.
     pub(crate) scene: Scene,
     pub(crate) unseen: Vec<UnseenView>,
+    /// z-depth of the sparse points in every training frame, 0 where there is none, [H, W]; `None` with too few of them.
+    pub(crate) points: Vec<Option<Vec<f32>>>,
+}
+
+impl Data {
+    fn new(scene: Scene, unseen: Vec<UnseenView>) -> Self {
+        let frames = scene.frames.iter();
+        let points = frames.map(|frame| point_depths(frame, &scene.points));
+        Self {
+            points: points.collect(),
+            scene,
+            unseen,
+        }
+    }
 }
 
 /// Why blur is modelled or not, where that is left to the survey.
@@ -57,6 +72,14 @@ fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
             "fine contrast changes by {percent:.1} % from frame to frame, as in a sharp video: no blur model \
              (`blur.model = \"camera\"` has one all the same)"
         ),
+    })
+}
+
+/// Why frames have gains of their own, where that is left to the survey.
+fn gains_note(settings: &Settings, survey: &Survey) -> Option<String> {
+    let percent = 100.0 * survey.brightness_change?.exp_m1();
+    (settings.frames.gains == When::Auto && survey.gains_differ).then(|| {
+        format!("frames differ in brightness by {percent:.0} %: each has a gain of its own")
     })
 }
 
@@ -126,8 +149,10 @@ impl Trainer {
                 motion,
             },
             blur: BlurModel::new(&settings, &survey, &views, (&device, dtype))?,
+            corrections: Corrections::new(&settings, &survey, &views, (&device, dtype)),
         };
         survey.notes.extend(blur_note(&settings, &survey));
+        survey.notes.extend(gains_note(&settings, &survey));
         let unseen = unseen_views(&scene, &views, &settings, &model.blur, size)?;
         if !unseen.is_empty() {
             survey.notes.push(format!("{} unseen views", unseen.len()));
@@ -145,7 +170,7 @@ impl Trainer {
                 state,
                 device,
             },
-            data: Data { scene, unseen },
+            data: Data::new(scene, unseen),
         })
     }
 
@@ -176,7 +201,7 @@ impl Trainer {
         }
         Ok(Self {
             run,
-            data: Data { scene, unseen },
+            data: Data::new(scene, unseen),
         })
     }
 
@@ -217,7 +242,9 @@ impl Trainer {
             device,
         } = &mut self.run;
         let leaf = |values: Vec<f32>, columns| tensor(values, [n, columns], device).require_grad();
-        let blur = std::mem::replace(&mut state.model.blur, BlurModel::Off);
+        let Model {
+            blur, corrections, ..
+        } = state.model.clone();
         *state = State::new(Model {
             world: World {
                 means: leaf(gaussians.means.as_flattened().to_vec(), 3),
@@ -229,6 +256,7 @@ impl Trainer {
                 motion: None,
             },
             blur,
+            corrections,
         });
         plan.survey.movers = false;
         let unseen = !self.data.unseen.is_empty();
@@ -319,7 +347,7 @@ impl Trainer {
         frame: usize,
     ) -> Result<Vec<(&'static str, Tensor<1>)>, TrainError> {
         let plan = &self.run.plan;
-        let view = ViewRef::training(&plan.views, &self.data.scene, frame);
+        let view = ViewRef::training(&plan.views, &self.data, frame);
         let look = self.run.look_at(&view, it);
         let fixed = fixed.show(&look, None)?;
         let shown = model.show(&look, Some(&fixed))?;
@@ -343,7 +371,7 @@ impl Trainer {
         } else {
             let (count, n) = (progress.training_draws, plan.views.train.len());
             let frame = draw(seed, Purpose::TrainOrder, count, n);
-            ViewRef::training(&plan.views, &self.data.scene, frame)
+            ViewRef::training(&plan.views, &self.data, frame)
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Where the camera was at any moment of the video: between its frames, and, where the blur model knows that, while its
 //! shutter was open.
 
+use crate::model::Model;
 use crate::run::Run;
 use crate::views::CameraView;
 use glam::{DAffine3, DQuat, DVec3};
@@ -111,11 +112,12 @@ impl Run {
             // The middle first: it stays where the shutter is open for no time.
             let moments = (0..=MOMENTS).flat_map(|k| [k, -k]);
             let moments = moments.map(|k| 0.5 * f64::from(k) / f64::from(MOMENTS));
-            let taken = self
-                .model()
-                .blur
-                .taken(frame, &view.cam_from_world, moments);
-            let taken = taken.unwrap_or_else(|| vec![(0.0, view.cam_from_world)]);
+            let Model {
+                blur, corrections, ..
+            } = self.model();
+            let middle = corrections.pose(frame, &view.cam_from_world);
+            let taken = blur.taken(frame, &middle, moments);
+            let taken = taken.unwrap_or_else(|| vec![(0.0, middle)]);
             let inside = taken.into_iter().filter(|(after, _)| after.abs() <= room);
             poses.extend(inside.map(|(after, pose)| (time + after, pose)));
         }

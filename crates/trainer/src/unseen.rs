@@ -4,7 +4,7 @@
 use crate::blur::BlurModel;
 use crate::error::{SceneProblem, TrainError};
 use crate::random::{Purpose, generator, unit};
-use crate::settings::{Settings, UnseenUse};
+use crate::settings::Settings;
 use crate::views::{CameraView, UnseenView, Views};
 use io::Scene;
 use rayon::prelude::*;
@@ -21,12 +21,8 @@ pub(crate) fn unseen_views(
     blur: &BlurModel,
     scene_size: f64,
 ) -> Result<Vec<UnseenView>, TrainError> {
-    let used = match settings.unseen.when {
-        UnseenUse::Always => true,
-        UnseenUse::Never => false,
-        UnseenUse::Auto => !matches!(blur, BlurModel::Camera(_)),
-    };
-    if !used {
+    let required = !matches!(blur, BlurModel::Camera(_));
+    if !settings.unseen.when.holds(required) {
         return Ok(Vec::new());
     }
     let options = WarpOptions {

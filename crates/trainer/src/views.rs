@@ -1,5 +1,6 @@
 //! Where views are seen from, and what an iteration learns from.
 
+use crate::trainer::Data;
 use burn::tensor::{Bool, DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec3};
 use io::Scene;
@@ -88,6 +89,8 @@ pub(crate) struct ViewRef<'a> {
     image: &'a [f32],
     /// z-depth, 0 where missing, [H, W].
     pub(crate) depth: Option<&'a [f32]>,
+    /// z-depth of sparse points, 0 where there is none, [H, W].
+    pub(crate) points: Option<&'a [f32]>,
     /// Dynamic mask, [H, W].
     pub(crate) mask: Option<&'a [f32]>,
     /// Pixels that have a target, [H, W]; `None` where all have one.
@@ -95,13 +98,14 @@ pub(crate) struct ViewRef<'a> {
 }
 
 impl<'a> ViewRef<'a> {
-    pub(crate) fn training(views: &'a Views, scene: &'a Scene, frame: usize) -> Self {
-        let source = &scene.frames[frame];
+    pub(crate) fn training(views: &'a Views, data: &'a Data, frame: usize) -> Self {
+        let source = &data.scene.frames[frame];
         Self {
             viewpoint: &views.train[frame],
             frame,
             image: &source.view.image.pixels,
             depth: source.depth.as_ref().map(|m| m.values.as_slice()),
+            points: data.points[frame].as_deref(),
             mask: source.mask.as_ref().map(|m| m.values.as_slice()),
             valid: None,
         }
@@ -113,6 +117,7 @@ impl<'a> ViewRef<'a> {
             frame: view.frame,
             image: &view.image,
             depth: None,
+            points: None,
             mask: view.mask.as_deref(),
             valid: Some(&view.valid),
         }

@@ -9,17 +9,17 @@ pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 
 use crate::TrainError;
 use crate::look::{Look, Shown, Terms, render_posed};
-use crate::losses::detail_loss;
+use crate::losses::shift_loss;
 use crate::parameter::{Group, Parameter};
 use crate::settings::{CameraSettings, Settings};
 use crate::survey::Survey;
-use crate::tensors::{constant, host, leaf};
+use crate::tensors::{constant, host};
 use crate::views::{Views, pose_of, pose_tensor};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for};
 use glam::DAffine3;
-use splat_core::{Exposure, Movers, expose};
+use splat_core::{Exposed, Exposure, Movers, Splats, expose};
 use tracing::trace_span;
 
 /// Moments between which a frame's samples and points are jittered, by irrational steps from iteration to iteration.
@@ -36,8 +36,8 @@ const VISITS: usize = 5;
 pub struct CameraBlur {
     capture: Capture,
     settings: CameraSettings,
-    /// Weight of the fine detail in the loss.
-    detail: f64,
+    /// Weight of the paths' mean shifts in the loss.
+    shift_weight: f64,
     moments: Moments,
     /// Focal length of each frame, px.
     focal: Vec<f64>,
@@ -86,7 +86,7 @@ impl CameraBlur {
     ) -> Self {
         let (n, camera) = (settings.iterations, &settings.camera);
         let focal: Vec<f64> = views.train.iter().map(|view| view.camera.fx).collect();
-        let width = RIGID * camera.path_degree;
+        let width = RIGID * camera.path_parts;
         let mut paths = vec![0.0; focal.len() * width];
         for (i, (path, (view, focal))) in paths
             .chunks_exact_mut(width)
@@ -99,7 +99,7 @@ impl CameraBlur {
             path[0] = length * angle.cos();
             path[1] = length * angle.sin();
         }
-        let mut capture = Capture::still(focal.len(), camera.path_degree, (device, dtype));
+        let mut capture = Capture::still(focal.len(), camera.path_parts, (device, dtype));
         let table = |values: Vec<f64>, shape| {
             Tensor::<2>::from_data(TensorData::new(values, shape), (device, dtype))
         };
@@ -113,7 +113,7 @@ impl CameraBlur {
         let mut model = Self {
             capture,
             settings: camera.clone(),
-            detail: settings.loss.detail,
+            shift_weight: settings.loss.frame_shift,
             moments: Moments::new(n, focal.len()),
             focal,
             scene_size: survey.scene_size,
@@ -142,14 +142,12 @@ impl CameraBlur {
         look: &Look<'_>,
     ) -> Result<Shown<CameraTrace>, TrainError> {
         let posed = trace_span!("pose").in_scope(|| world.pose(look.viewpoint.time));
-        let mut viewpoint = look.viewpoint_of(&posed);
+        let viewpoint = look.viewpoint_of(&posed.splats);
         let on = look.frame.filter(|_| self.is_on(look.iteration));
         let Some(frame) = on else {
             let rendered = render_posed(posed, &viewpoint, look.screen_grad.clone())?;
             return Ok(Shown::sharp(rendered));
         };
-        let given = viewpoint.cam_from_world.clone();
-        viewpoint.cam_from_world = self.capture.middle(frame, &given, self.scene_size);
         let mut view = self.view(frame);
         if look.view.is_none() {
             view = self.with_spots(frame, view);
@@ -158,53 +156,57 @@ impl CameraBlur {
         let trace = CameraTrace { view };
         if count == 1 {
             let rendered = render_posed(posed, &viewpoint, look.screen_grad.clone())?;
-            return Ok(self.with_terms(look, Shown::sharp(rendered), trace));
+            return Ok(Shown {
+                trace: Some(trace),
+                ..Shown::sharp(rendered)
+            });
         }
-        let taken = samples(count, self.jitter(look));
-        let capture = self.learned(&trace);
+        let splats = posed.splats.clone();
+        let rendered = render_posed(posed, &viewpoint, None)?;
+        let exposed = self.exposed(world, look, frame, splats, &trace.view)?;
+        let mut terms = Terms::default();
+        if look.view.is_some() {
+            terms.add("path_shift", self.shift_weight, || {
+                let shift = self.learned(&trace.view).mean_shift(frame);
+                shift_loss(shift, self.focal[frame])
+            });
+        }
+        Ok(Shown {
+            seen: exposed.color,
+            radii: exposed.radii,
+            terms,
+            trace: Some(trace),
+            ..Shown::sharp(rendered)
+        })
+    }
+
+    /// What the camera collects of these Gaussians, from more than one sample.
+    fn exposed(
+        &self,
+        world: &World,
+        look: &Look<'_>,
+        frame: usize,
+        splats: Splats,
+        view: &TakenView,
+    ) -> Result<Exposed, TrainError> {
+        let middle = look.viewpoint_of(&splats);
+        let taken = samples(view.frame.samples, self.jitter(look));
+        let capture = self.learned(view);
         let exposure = Exposure {
-            poses: capture.poses(frame, &given, &taken, self.scene_size),
+            poses: capture.poses(frame, &middle.cam_from_world, &taken, self.scene_size),
             movers: self.movers(world, look.viewpoint.time, &taken),
             transfer: self.settings.transfer.into(),
         };
-        let splats = posed.splats.clone();
-        let rendered = render_posed(posed, &viewpoint, None)?;
-        let exposed = expose(splats, &viewpoint, exposure, look.screen_grad.clone())?;
-        let shown = Shown {
-            seen: exposed.color,
-            radii: exposed.radii,
-            ..Shown::sharp(rendered)
-        };
-        Ok(self.with_terms(look, shown, trace))
-    }
-
-    /// What is shown with the model's own terms of the loss.
-    fn with_terms(
-        &self,
-        look: &Look<'_>,
-        shown: Shown<CameraTrace>,
-        trace: CameraTrace,
-    ) -> Shown<CameraTrace> {
-        let mut terms = Terms::default();
-        if let Some(view) = look.view {
-            terms.add("detail", self.detail, || {
-                detail_loss(shown.seen.clone(), shown.target(view))
-            });
-        }
-        Shown {
-            terms,
-            trace: Some(trace),
-            ..shown
-        }
+        Ok(expose(splats, &middle, exposure, look.screen_grad.clone())?)
     }
 
     /// The capture as a view learns from it: what trials left out altogether stays out.
-    fn learned(&self, trace: &CameraTrace) -> Capture {
+    fn learned(&self, view: &TakenView) -> Capture {
         let mut capture = self.capture.clone();
-        if trace.view.frame.blur_px == 0.0 {
+        if view.frame.blur_px == 0.0 {
             capture.paths = constant(&capture.paths);
         }
-        if trace.view.aperture == 0.0 {
+        if view.aperture == 0.0 {
             capture.aperture = constant(&capture.aperture);
             capture.focus = constant(&capture.focus);
         }
@@ -243,13 +245,13 @@ impl CameraBlur {
     pub(super) fn taken(
         &self,
         frame: usize,
-        given: &DAffine3,
+        middle: &DAffine3,
         moments: impl Iterator<Item = f64>,
     ) -> Vec<(f64, DAffine3)> {
         let taken: Vec<Sample> = moments.map(Sample::through_the_middle).collect();
         let options = (&self.capture.paths.device(), self.capture.paths.dtype());
-        let given = pose_tensor(given, options);
-        let poses = self.capture.poses(frame, &given, &taken, self.scene_size);
+        let middle = pose_tensor(middle, options);
+        let poses = self.capture.poses(frame, &middle, &taken, self.scene_size);
         let times = host(self.capture.moments(&taken).detach());
         let rows = host(poses.detach());
         let poses = rows.as_chunks::<12>().0.iter();
@@ -262,20 +264,10 @@ impl CameraBlur {
         self.moments.trials.contains(&it)
     }
 
-    /// What all frames have in common is the scene's: offsets have a mean of zero over the frames.
-    pub(super) fn hold(&mut self) {
-        if self.settings.offsets {
-            let offsets = self.capture.offsets.clone().inner();
-            let mean = offsets.clone().mean_dim(0);
-            self.capture.offsets = leaf(offsets - mean, true);
-        }
-    }
-
     /// Those that are trained.
     pub(super) fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
         let Capture {
             paths,
-            offsets,
             focus,
             aperture,
             shutter,
@@ -286,12 +278,6 @@ impl CameraBlur {
             all.push((
                 Parameter::new("camera.shutter", Group::CameraShutter),
                 shutter,
-            ));
-        }
-        if self.settings.offsets {
-            all.push((
-                Parameter::new("camera.offsets", Group::CameraOffset),
-                offsets,
             ));
         }
         if self.settings.lens {

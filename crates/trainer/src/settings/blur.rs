@@ -65,11 +65,8 @@ pub struct CameraSettings {
     pub path: bool,
     /// Whether it has a lens with an aperture and a focus.
     pub lens: bool,
-    /// Whether the given poses are refined. Where they are right, that costs two decibels: paths and offsets drift
-    /// against each other.
-    pub offsets: bool,
-    /// Degree of the paths, 1 to 3.
-    pub path_degree: usize,
+    /// Straight parts of a path: 1, 2, 4 or 8.
+    pub path_parts: usize,
     /// A frame is averaged from at most so many renders, 2 to 64.
     pub samples: usize,
     /// Distance of the samples from each other in the image, px.
@@ -89,8 +86,7 @@ impl Default for CameraSettings {
         Self {
             path: true,
             lens: true,
-            offsets: false,
-            path_degree: 2,
+            path_parts: 4,
             samples: 8,
             spacing_px: 0.75,
             transfer: TransferKind::Srgb,

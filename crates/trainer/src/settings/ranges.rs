@@ -63,9 +63,9 @@ impl Settings {
         )?;
         let c = &self.camera;
         check(
-            (1..=3).contains(&c.path_degree),
-            "camera.path_degree",
-            "1 to 3",
+            [1, 2, 4, 8].contains(&c.path_parts),
+            "camera.path_parts",
+            "1, 2, 4 or 8",
         )?;
         check((2..=64).contains(&c.samples), "camera.samples", "2 to 64")?;
         if let TransferKind::Power(gamma) = c.transfer {
@@ -109,11 +109,13 @@ impl Settings {
             (self.unseen.min_valid, "unseen.min_valid"),
             (w.ssim, "loss.ssim"),
             (w.depth, "loss.depth"),
+            (w.depth_shift, "loss.depth_shift"),
             (w.mask, "loss.mask"),
             (w.kernel_center, "loss.kernel_center"),
             (w.intensity, "loss.intensity"),
             (w.gauge, "loss.gauge"),
             (w.detail, "loss.detail"),
+            (w.frame_shift, "loss.frame_shift"),
             (w.downsample, "loss.downsample"),
             (w.bases_acceleration, "loss.bases_acceleration"),
             (w.means_acceleration, "loss.means_acceleration"),
@@ -130,7 +132,8 @@ impl Settings {
             (c.aperture, "camera.aperture"),
             (c.shutter, "camera.shutter"),
             (l.camera_path, "learning_rates.camera_path"),
-            (l.camera_offset, "learning_rates.camera_offset"),
+            (l.frame_offset, "learning_rates.frame_offset"),
+            (l.frame_gain, "learning_rates.frame_gain"),
             (l.camera_focus, "learning_rates.camera_focus"),
             (l.camera_aperture, "learning_rates.camera_aperture"),
             (l.camera_shutter, "learning_rates.camera_shutter"),

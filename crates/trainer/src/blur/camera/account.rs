@@ -21,15 +21,12 @@ impl CameraBlur {
             .into_iter()
             .fold(0.0, f64::max);
         let row = |tensor: &Tensor<2>, row| host(tensor.clone().detach().narrow(0, row, 1));
-        let offset = row(&self.capture.offsets, frame);
         let focus = f64::from(row(&self.capture.focus, frame)[0]);
-        let [x, y] = [offset[1] + offset[3], offset[4] - offset[0]].map(f64::from);
         TakenView {
             frame: CameraFrame {
                 blur_px,
                 focus: self.scene_size / focus.max(LEAST_DISPARITY),
                 disc_px,
-                offset_px: focal * x.hypot(y),
                 samples: self.samples(blur_px, disc_px),
                 psnr: None,
             },
@@ -52,18 +49,13 @@ impl CameraBlur {
         let taken = samples(SPOT_SAMPLES, [0.5, 0.0]);
         let size = self.scene_size;
         let poses = host(self.capture.poses(frame, &given, &taken, size).detach());
-        let middle = host(self.capture.middle(frame, &given, size).detach());
         let focal = self.focal[frame];
         let seen = |pose: &[f32], depth: f64| {
             let at = |i: usize| f64::from(pose[4 * i + 2]) * depth + f64::from(pose[4 * i + 3]);
             [0, 1].map(|axis| focal * at(axis) / at(2))
         };
         let spot = |depth: f64| {
-            let [x, y] = seen(&middle, depth);
-            let places = poses.chunks_exact(12).map(|pose| {
-                let place = seen(pose, depth);
-                [place[0] - x, place[1] - y]
-            });
+            let places = poses.chunks_exact(12).map(|pose| seen(pose, depth));
             Spot {
                 depth,
                 places: places.collect(),

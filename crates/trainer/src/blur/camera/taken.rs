@@ -83,8 +83,6 @@ pub struct CameraFrame {
     pub focus: f64,
     /// Diameter of the disc of what lies nearest or farthest, px, whichever is larger.
     pub disc_px: f64,
-    /// How far the middle of its exposure lies off the given pose, px at the depth S.
-    pub offset_px: f64,
     /// Renders that the frame was averaged from.
     pub samples: usize,
     /// PSNR of what the camera is said to have seen against the frame, dB.

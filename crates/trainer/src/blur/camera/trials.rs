@@ -3,7 +3,7 @@
 
 use super::CameraBlur;
 use crate::TrainError;
-use crate::look::Look;
+use crate::look::{Look, render_posed};
 use crate::statistics::median;
 use crate::tensors::{constant, host, leaf, tensor};
 use crate::world::World;
@@ -32,8 +32,6 @@ impl CameraBlur {
         let it = looks.first().map(|look| look.iteration);
         let last = self.moments.trials.last() == it.as_ref();
         let mut trial = self.clone();
-        // Errors are of pictures: no term of the loss is wanted.
-        trial.detail = 0.0;
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
         }
@@ -72,21 +70,24 @@ impl CameraBlur {
         for (frame, look) in looks.iter().enumerate() {
             let own = self.path(frame);
             let length = usual_px / self.focal[frame];
+            let mut best = (now[frame], own.clone());
             let mut candidates = vec![reversed(&own)];
-            // 2.5 dB under the others, or hardly moved: it does not leave a wrong direction by itself.
-            if now[frame] > 1.8 * usual || lengths[frame] < 0.4 * usual_px {
-                candidates.extend(others(&vec![0.0; own.len()], &[0.5, 1.0, 2.0], length));
-            }
             // A path that comes back on itself looks the same both ways, so that no gradient opens it.
             if f64::from(speed(&own)) < 0.3 * length {
-                candidates.extend(others(&own, &[0.35, 0.7], length));
+                candidates.extend(others(&own, 0, &[0.35, 0.7], length));
             }
-            let mut best = (now[frame], own.clone());
-            for candidate in candidates {
-                self.set_path(frame, &candidate);
-                let error = self.error(world, look)?;
-                if error < best.0 {
-                    best = (error, candidate);
+            self.try_each(world, look, candidates, &mut best)?;
+            // 2.5 dB under the others, or hardly moved: it does not leave a wrong direction by itself.
+            if now[frame] > 1.8 * usual || lengths[frame] < 0.4 * usual_px {
+                let mut fresh = (f64::INFINITY, vec![0.0; own.len()]);
+                let straight = others(&fresh.1, 0, &[0.5, 1.0, 2.0], length);
+                self.try_each(world, look, straight, &mut fresh)?;
+                for bend in 1..own.len() / RIGID {
+                    let bent = others(&fresh.1, bend, &[1.0, 2.0], length);
+                    self.try_each(world, look, bent, &mut fresh)?;
+                }
+                if fresh.0 < best.0 {
+                    best = fresh;
                 }
             }
             if last && lengths[frame] < 1.0 {
@@ -103,6 +104,27 @@ impl CameraBlur {
             }
         }
         Ok(changed)
+    }
+
+    /// Puts the path that explains a frame best in the place of `best`, with its error, if it is better.
+    fn try_each(
+        &mut self,
+        world: &World,
+        look: &Look<'_>,
+        paths: Vec<Vec<f32>>,
+        best: &mut (f64, Vec<f32>),
+    ) -> Result<(), TrainError> {
+        let Some(frame) = look.frame else {
+            return Ok(());
+        };
+        for path in paths {
+            self.set_path(frame, &path);
+            let error = self.error(world, look)?;
+            if error < best.0 {
+                *best = (error, path);
+            }
+        }
+        Ok(())
     }
 
     /// Leaves the lens out if it does not pay, and then all paths; returns the error of all frames with what stays.
@@ -166,28 +188,37 @@ impl CameraBlur {
         let Some(view) = look.view else {
             return Ok(0.0);
         };
-        let seen = self.show(world, look)?.seen;
+        let posed = world.pose(look.viewpoint.time);
+        let taken = self.view(view.frame);
+        let seen = if taken.frame.samples == 1 {
+            let viewpoint = look.viewpoint_of(&posed.splats);
+            render_posed(posed, &viewpoint, None)?.color()
+        } else {
+            let splats = posed.splats;
+            self.exposed(world, look, view.frame, splats, &taken)?.color
+        };
+        let seen = look.gained(seen);
         let difference = (seen.clone() - view.image(&seen)).square().mean();
         Ok(f64::from(host(difference)[0]))
     }
 }
 
-/// Paths in eight directions, so many times as fast in the middle of the exposure as one of `length` (rad), and otherwise as
-/// `path`.
-fn others(path: &[f32], times: &[f64], length: f64) -> Vec<Vec<f32>> {
-    let directions = (0..8).map(|k| std::f64::consts::TAU * f64::from(k) / 8.0);
+/// Paths whose function k goes in eight directions, so many times `length` (rad), and that are otherwise as `path`.
+fn others(path: &[f32], k: usize, times: &[f64], length: f64) -> Vec<Vec<f32>> {
+    let directions = (0..8).map(|i| std::f64::consts::TAU * f64::from(i) / 8.0);
     let ways = directions.flat_map(|angle| times.iter().map(move |times| (angle, times * length)));
     ways.map(|(angle, length)| {
         let mut path = path.to_vec();
-        path[..RIGID].fill(0.0);
-        path[0] = (length * angle.cos()) as f32;
-        path[1] = (length * angle.sin()) as f32;
+        let numbers = &mut path[k * RIGID..(k + 1) * RIGID];
+        numbers.fill(0.0);
+        numbers[0] = (length * angle.cos()) as f32;
+        numbers[1] = (length * angle.sin()) as f32;
         path
     })
     .collect()
 }
 
-/// How far a path would lead at the speed of the middle of the exposure, focal lengths.
+/// How far a path leads from its start to its end, focal lengths.
 fn speed(path: &[f32]) -> f32 {
     (path[1] + path[3]).hypot(path[4] - path[0])
 }

@@ -1,0 +1,73 @@
+//! How much the frames of a video differ in brightness: auto-exposure shows before anything is trained.
+
+use crate::statistics::median;
+use glam::DVec2;
+use io::Frame;
+
+/// The same things are seen equally bright in the frames of a video of fixed exposure, but for less than this (median of the
+/// logarithm's change, between frames that are one apart and a quarter of the video).
+const FIXED: f64 = 0.03;
+/// Pixels of a row and of a column of which one is looked up.
+const STEP: usize = 2;
+/// Fewer pixels that two frames share say too little.
+const LEAST_SHARED: usize = 50;
+/// Values over this may have been cut off.
+const SATURATED: f32 = 0.98;
+/// What lies elsewhere in depth by more than this share is hidden.
+const HIDDEN: f64 = 0.05;
+
+/// Median change, as a logarithm, of the light that frames have in common: of neighbours and of those a quarter of the video
+/// apart, whichever is larger. `None` where too little is known in depth.
+pub(crate) fn brightness_change(frames: &[Frame]) -> Option<f64> {
+    let change = |apart: usize| {
+        let pairs = frames.iter().zip(frames.iter().skip(apart));
+        let changes: Vec<f64> = pairs.filter_map(|(a, b)| pair_change(a, b)).collect();
+        (changes.len() >= 3).then(|| median(&changes))
+    };
+    let apart = [1, frames.len() / 4];
+    apart.into_iter().filter_map(change).max_by(f64::total_cmp)
+}
+
+/// Whether frames that change so much in brightness have gains of their own.
+pub(crate) fn gains_differ(change: f64) -> bool {
+    change > FIXED
+}
+
+/// Size of the change from a frame to another.
+fn pair_change(a: &Frame, b: &Frame) -> Option<f64> {
+    let (depth, other) = (a.depth.as_ref()?, b.depth.as_ref()?);
+    let b_from_a = b.view.cam_from_world * a.view.cam_from_world.inverse();
+    let still = |frame: &Frame, i: usize| frame.mask.as_ref().is_none_or(|m| m.values[i] < 0.5);
+    let (mut count, mut sums) = (0, [0.0; 2]);
+    for y in (0..depth.height).step_by(STEP) {
+        for x in (0..depth.width).step_by(STEP) {
+            let i = y * depth.width + x;
+            let z = f64::from(depth.values[i]);
+            if z <= 0.0 || !still(a, i) {
+                continue;
+            }
+            let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+            let seen = b_from_a.transform_point3(a.view.camera.unproject(pixel, z));
+            let pixel = b.view.camera.project(seen);
+            let inside = seen.z > 0.0
+                && (0.0..other.width as f64).contains(&pixel.x)
+                && (0.0..other.height as f64).contains(&pixel.y);
+            if !inside {
+                continue;
+            }
+            let j = pixel.y as usize * other.width + pixel.x as usize;
+            let hidden = (f64::from(other.values[j]) / seen.z - 1.0).abs() > HIDDEN;
+            let colors = [(a, i), (b, j)].map(|(f, k)| &f.view.image.pixels[3 * k..3 * k + 3]);
+            let cut = colors.iter().any(|c| c.iter().any(|v| *v > SATURATED));
+            if hidden || cut || !still(b, j) {
+                continue;
+            }
+            count += 1;
+            for (sum, color) in sums.iter_mut().zip(colors) {
+                *sum += color.iter().copied().map(f64::from).sum::<f64>();
+            }
+        }
+    }
+    let [before, after] = sums;
+    (count >= LEAST_SHARED && before > 0.0 && after > 0.0).then(|| (after / before).ln().abs())
+}

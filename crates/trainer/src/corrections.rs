@@ -1,0 +1,145 @@
+//! What was given wrong of the training frames: where they were taken from, and how bright they are against each other.
+
+use crate::look::{Look, Terms};
+use crate::losses::shift_loss;
+use crate::parameter::{Group, Parameter};
+use crate::settings::Settings;
+use crate::survey::Survey;
+use crate::tensors::{host, leaf};
+use crate::views::{CameraView, Views, pose_of, pose_tensor};
+use burn::tensor::{DType, Device, Tensor};
+use capture::{RIGID, moved, shift_in_image};
+use glam::DAffine3;
+use serde::{Deserialize, Serialize};
+
+/// Offsets and gains of all training frames. Their means over the frames are zero: what all have in common is the scene's.
+#[derive(Clone, Debug, Default)]
+pub struct Corrections {
+    /// Offsets from the given poses, [N, 6], in the camera's axes: rotation vectors (rad) and translations (S); `None` where
+    /// the given poses hold.
+    offsets: Option<Tensor<2>>,
+    /// Logarithms of the gains of the pictures' values, [N, 1]; `None` where frames are equally bright.
+    gains: Option<Tensor<2>>,
+    /// Weight of the offsets' shifts in the loss.
+    shift_weight: f64,
+    /// Scene size S, scene units.
+    scene_size: f64,
+}
+
+/// How one frame was corrected.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FrameCorrection {
+    /// How far the frame's pose lies off the given one, px at the depth S.
+    pub offset_px: f64,
+    /// By what factor its values are brighter than the scene's.
+    pub gain: f64,
+}
+
+impl Corrections {
+    /// Those that the settings ask for or the survey finds necessary, still zero.
+    pub(crate) fn new(
+        settings: &Settings,
+        survey: &Survey,
+        views: &Views,
+        options: (&Device, DType),
+    ) -> Self {
+        let num_frames = views.train.len();
+        let zeros = |columns| Tensor::<2>::zeros([num_frames, columns], options).require_grad();
+        let frames = &settings.frames;
+        Self {
+            offsets: frames.offsets.then(|| zeros(RIGID)),
+            gains: frames.gains.holds(survey.gains_differ).then(|| zeros(1)),
+            shift_weight: settings.loss.frame_shift,
+            scene_size: survey.scene_size,
+        }
+    }
+
+    /// The look as the frame was taken.
+    pub(crate) fn applied<'a>(&self, look: &Look<'a>) -> Look<'a> {
+        let mut look = look.clone();
+        let Some(frame) = look.frame else {
+            return look;
+        };
+        if let Some(offsets) = &self.offsets {
+            let options = (&offsets.device(), offsets.dtype());
+            let given = pose_tensor(&look.viewpoint.cam_from_world, options);
+            look.pose = Some(self.moved(frame, offsets, &given));
+        }
+        look.gain = self.gains.as_ref().map(|gains| row(gains, frame).exp());
+        look
+    }
+
+    /// Its own terms of the loss of a view.
+    pub(crate) fn add_terms(&self, look: &Look<'_>, terms: &mut Terms) {
+        if let (Some(view), Some(offsets)) = (look.view, &self.offsets) {
+            terms.add("offset_shift", self.shift_weight, || {
+                let shift = shift_in_image(row(offsets, view.frame));
+                shift_loss(shift, view.viewpoint.camera.fx)
+            });
+        }
+    }
+
+    /// Where a frame was taken from, given where it is said to be.
+    pub(crate) fn pose(&self, frame: usize, given: &DAffine3) -> DAffine3 {
+        let Some(offsets) = &self.offsets else {
+            return *given;
+        };
+        let options = (&offsets.device(), offsets.dtype());
+        let rows = host(
+            self.moved(frame, offsets, &pose_tensor(given, options))
+                .detach(),
+        );
+        let rows: [f64; 12] = std::array::from_fn(|k| f64::from(rows[k]));
+        pose_of(&rows)
+    }
+
+    fn moved(&self, frame: usize, offsets: &Tensor<2>, given: &Tensor<2>) -> Tensor<2> {
+        moved(row(offsets, frame), given, self.scene_size).reshape([3, 4])
+    }
+
+    /// Takes the mean over all frames out, which is the scene's.
+    pub(crate) fn hold(&mut self) {
+        for (_, values) in self.parameters_mut() {
+            let held = values.clone().inner();
+            let mean = held.clone().mean_dim(0);
+            *values = leaf(held - mean, true);
+        }
+    }
+
+    pub(crate) fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
+        let offsets = self.offsets.as_mut();
+        let gains = self.gains.as_mut();
+        let offsets = offsets.map(|t| (Parameter::new("frames.offsets", Group::FrameOffset), t));
+        let gains = gains.map(|t| (Parameter::new("frames.gains", Group::FrameGain), t));
+        offsets.into_iter().chain(gains).collect()
+    }
+
+    /// What was corrected in frames that were seen so; `None` where nothing is.
+    pub(crate) fn figures(&self, views: &[CameraView]) -> Option<Vec<FrameCorrection>> {
+        if self.offsets.is_none() && self.gains.is_none() {
+            return None;
+        }
+        let numbers = |values: Tensor<2>| host(values.detach()).into_iter().map(f64::from);
+        let shift_px = |frame, focal: f64| {
+            let shift = |offsets| numbers(shift_in_image(row(offsets, frame)));
+            let length = |shift| focal * f64::sqrt(shift);
+            self.offsets
+                .as_ref()
+                .map_or(0.0, |offsets| length(shift(offsets).map(|v| v * v).sum()))
+        };
+        let gain = |frame| {
+            let gains = self.gains.as_ref();
+            gains.map_or(1.0, |gains| numbers(row(gains, frame)).sum::<f64>().exp())
+        };
+        let frames = views.iter().enumerate();
+        let corrections = frames.map(|(frame, view)| FrameCorrection {
+            offset_px: shift_px(frame, view.camera.fx),
+            gain: gain(frame),
+        });
+        Some(corrections.collect())
+    }
+}
+
+fn row(values: &Tensor<2>, frame: usize) -> Tensor<2> {
+    values.clone().narrow(0, frame, 1)
+}

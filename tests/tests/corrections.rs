@@ -1,0 +1,113 @@
+//! What was given wrong of the frames is found: poses that are off, and gains of an automatic exposure.
+
+use glam::{DAffine3, DQuat, DVec3};
+use io::Scene;
+use limpid_tests::tiny::{self, FRAMES, camera, pose};
+use trainer::settings::{BlurKind, When};
+use trainer::{Device, Settings, Trainer};
+
+/// The tiny scene in sharp frames.
+fn sharp() -> Scene {
+    let mut scene = tiny::scene();
+    for (frame, test) in scene.frames.iter_mut().zip(&scene.test) {
+        frame.view.image = test.image.clone();
+    }
+    scene
+}
+
+fn settings(iterations: usize) -> Settings {
+    let mut settings = tiny::settings();
+    settings.iterations = iterations;
+    settings.blur.model = BlurKind::Off;
+    settings.unseen.when = When::Never;
+    settings.frames.gains = When::Auto;
+    settings.frames.offsets = false;
+    settings
+}
+
+fn trained(scene: Scene, settings: Settings) -> Trainer {
+    let mut trainer = Trainer::new(scene, settings, &Device::flex()).expect("a trainer");
+    while !trainer.is_done() {
+        trainer.step().expect("a step");
+    }
+    trainer
+}
+
+/// Logarithms whose sum is zero.
+const GAINS: [f64; FRAMES] = [0.12, -0.08, 0.05, -0.1, 0.07, -0.06];
+
+#[test]
+fn the_survey_sees_gains_and_training_finds_them() {
+    let mut scene = sharp();
+    for (frame, gain) in scene.frames.iter_mut().zip(GAINS) {
+        for value in &mut frame.view.image.pixels {
+            *value *= gain.exp() as f32;
+        }
+    }
+    let trainer = trained(scene, settings(300));
+    let survey = trainer.survey();
+    assert!(survey.gains_differ, "{:?}", survey.brightness_change);
+    let found = trainer.evaluate().expect("scores").corrections;
+    let found: Vec<f64> = found.expect("gains").iter().map(|f| f.gain.ln()).collect();
+    for (found, gain) in found.iter().zip(GAINS) {
+        assert!((found - gain).abs() < 0.02, "{found} where {gain} was put");
+    }
+    let mean = found.iter().sum::<f64>() / FRAMES as f64;
+    assert!(mean.abs() < 1e-5, "their mean is the scene's: {mean}");
+}
+
+#[test]
+fn frames_of_one_exposure_have_no_gains() {
+    let trainer = Trainer::new(sharp(), settings(200), &Device::flex()).expect("a trainer");
+    let survey = trainer.survey();
+    assert!(!survey.gains_differ, "{:?}", survey.brightness_change);
+    let corrections = trainer.evaluate().expect("scores").corrections;
+    assert!(corrections.is_none(), "{corrections:?}");
+}
+
+/// How far a pose lies off the true one of a frame, px at the wall.
+fn off_px(found: &DAffine3, frame: usize) -> [f64; 2] {
+    let point = pose(frame as f64)
+        .inverse()
+        .transform_point3(DVec3::Z * tiny::WALL);
+    let seen = camera().project(found.transform_point3(point));
+    [seen.x - camera().cx, seen.y - camera().cy]
+}
+
+/// Root mean square over the frames without what all have in common.
+fn spread(offs: &[[f64; 2]]) -> f64 {
+    let n = offs.len() as f64;
+    let axis = |axis: usize| {
+        let mean = offs.iter().map(|off| off[axis]).sum::<f64>() / n;
+        offs.iter()
+            .map(|off| (off[axis] - mean).powi(2))
+            .sum::<f64>()
+            / n
+    };
+    (axis(0) + axis(1)).sqrt()
+}
+
+#[test]
+fn poses_that_were_given_wrong_come_back() {
+    let mut scene = sharp();
+    for (k, frame) in scene.frames.iter_mut().enumerate() {
+        let angle = 2.4 * k as f64;
+        let turn = DVec3::new(angle.cos(), angle.sin(), 0.0) / camera().fx;
+        let turn = DAffine3::from_quat(DQuat::from_scaled_axis(turn));
+        frame.view.cam_from_world = turn * frame.view.cam_from_world;
+    }
+    let mut settings = settings(400);
+    settings.frames.offsets = true;
+    let given: Vec<_> = (0..FRAMES)
+        .map(|k| off_px(&scene.frames[k].view.cam_from_world, k))
+        .collect();
+    let trainer = trained(scene, settings);
+    let found: Vec<_> = (0..FRAMES)
+        .map(|k| off_px(&trainer.run().view_at(k as f32).cam_from_world, k))
+        .collect();
+    let (before, after) = (spread(&given), spread(&found));
+    assert!(before > 0.9, "{before} px off");
+    assert!(after < 0.4 * before, "{after} px of {before} are left");
+    let figures = trainer.evaluate().expect("scores").corrections;
+    assert!(figures.expect("offsets").iter().all(|f| f.gain == 1.0));
+}
