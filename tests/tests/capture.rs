@@ -74,7 +74,7 @@ fn path_focus_and_aperture_are_found_back() {
         let splats = splats(&device);
         let mut path = [0.0; 12];
         path[..2].copy_from_slice(&[0.02, 0.04]);
-        path[6..8].copy_from_slice(&[-0.015, 0.025]);
+        path[6..8].copy_from_slice(&[-0.03, 0.05]);
         let (aperture, focus) = (0.04, 1.5);
         let mut truth = Capture::still(1, 2, (&device, DType::F32));
         truth.paths = f32s(&path, [1, 12]);
@@ -112,7 +112,7 @@ fn path_focus_and_aperture_are_found_back() {
         }
         let learned = values(found.paths.clone());
         let place =
-            |path: &[f64], s: f64| [0, 1].map(|k| FOCAL * (path[k] * s + path[6 + k] * s.abs()));
+            |path: &[f64], s: f64| [0, 1].map(|k| FOCAL * (path[k] * s + path[6 + k] * s * s));
         // Both ways round are the same picture: a path has no direction where nothing moves.
         let error = |sign: f64| {
             let moments = [-0.5, -0.25, 0.25, 0.5];

@@ -3,8 +3,8 @@
 use burn::tensor::{DType, Device, Tensor};
 use limpid_tests::{GradLimits, check_gradients, devices, in_pool, tensor, unit_noise, values};
 use trainer::losses::{
-    depth_loss, detail_loss, downsample_loss, intensity_penalty, mask_band, mask_loss, photometric,
-    ssim,
+    depth_loss, depth_shift_loss, detail_loss, downsample_loss, intensity_penalty, mask_band,
+    mask_loss, photometric, ssim,
 };
 use trainer::metrics::{LARGEST_PSNR, masked_psnr, psnr_of};
 
@@ -337,6 +337,47 @@ fn gradient_of_the_depth_loss_goes_to_the_depth_alone() {
             let counts = alpha[k] > 0.5 && given[k] > 0.0 && given[k].is_finite();
             assert_eq!(grad[k] != 0.0, counts, "{name}: pixel {k}");
         }
+    }
+}
+
+#[test]
+fn the_depth_shift_loss_is_the_squared_mean_over_the_points() {
+    for (name, device) in devices() {
+        let (width, height, scene_size) = (8, 5, 4.0);
+        let points: Vec<f32> = (0..width * height)
+            .map(|k| {
+                if k % 3 == 0 {
+                    3.0 + 0.1 * k as f32
+                } else {
+                    0.0
+                }
+            })
+            .collect();
+        // Disparities times S lie off by `shift`, more and less by turns; elsewhere the depth is any.
+        let loss = |shift: f64, noise: f64, alpha: f64| {
+            let depth = points.iter().enumerate().map(|(k, &z)| {
+                let off = shift + if k % 2 == 0 { noise } else { -noise };
+                alpha
+                    * if z > 0.0 {
+                        scene_size / (scene_size / f64::from(z) + off)
+                    } else {
+                        7.0
+                    }
+            });
+            let depth: Vec<f64> = depth.collect();
+            let depth = tensor(&depth, [height, width], &device, DType::F64);
+            let alpha = depth.full_like(alpha);
+            scalar(depth_shift_loss(depth, &alpha, &points, scene_size))
+        };
+        assert!(loss(0.0, 0.02, 0.9) < 1e-12, "{name}: noise has no mean");
+        let shifted = loss(0.01, 0.02, 0.9);
+        assert!((shifted / 1e-4 - 1.0).abs() < 1e-6, "{name}: {shifted}");
+        let edges = loss(3.0, 0.0, 0.9);
+        assert!(
+            (edges / 2.5e-3 - 1.0).abs() < 1e-6,
+            "{name}: clamped: {edges}"
+        );
+        assert_eq!(loss(0.01, 0.0, 0.4), 0.0, "{name}: nothing is there");
     }
 }
 

@@ -2,8 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use crate::motion::{moved, shift_in_image};
-use crate::path::{mean, shape};
+use crate::motion::moved;
 use crate::samples::Sample;
 
 /// Numbers of a rigid motion: a rotation vector (rad) and a translation (scene sizes), in the camera's axes.
@@ -12,15 +11,14 @@ pub const RIGID: usize = 6;
 /// What a camera did while it took N frames: the tensors that can be trained, all of rank 2.
 ///
 /// With s the moment from -1/2 to 1/2 and (u, v) the point of the lens, a frame sees the world from
-/// Shear(u, v) Exp(p₁ φ₁(s) + … + p_K φ_K(s)) P, where P is its pose and p its path, a polyline of K equal parts with
-/// φ₁ = s, φ₂ = |s| and tents of slope 1 over further bends: the sharp picture is that of the middle of the exposure,
-/// s = 0, u = v = 0, from P.
+/// Shear(u, v) Exp(p₁ s + … + p_D s^D) P, where P is its pose and p its path: the sharp picture is that of the middle of
+/// the exposure, s = 0, u = v = 0, from P.
 ///
 /// The shear is x += a u (d z - S) and the same for y, with the aperture a, the focus d and the scene's size S: a point
 /// at the depth S / d stays where the lens' middle sees it, and one at depth z moves by f a u (d - S / z) px.
 #[derive(Clone, Debug)]
 pub struct Capture {
-    /// Numbers of the paths, [N, 6 K]: those of φ₁ = s first.
+    /// Coefficients of the paths, [N, 6 D]: those of s first.
     pub paths: Tensor<2>,
     /// Disparity of focus, S / distance, [N, 1].
     pub focus: Tensor<2>,
@@ -31,20 +29,20 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// A camera that stands still, without a lens, in focus at the scene's size, for paths of K parts: 1, 2, 4 or 8.
+    /// A camera that stands still, without a lens, in focus at the scene's size, for paths of a degree.
     #[must_use]
-    pub fn still(num_frames: usize, parts: usize, options: (&Device, DType)) -> Self {
+    pub fn still(num_frames: usize, degree: usize, options: (&Device, DType)) -> Self {
         Self {
-            paths: Tensor::zeros([num_frames, RIGID * parts], options),
+            paths: Tensor::zeros([num_frames, RIGID * degree], options),
             focus: Tensor::ones([num_frames, 1], options),
             aperture: Tensor::zeros([1, 1], options),
             shutter: Tensor::zeros([1, 1], options),
         }
     }
 
-    /// Number K of the paths' parts.
+    /// Degree D of the paths.
     #[must_use]
-    pub fn parts(&self) -> usize {
+    pub fn degree(&self) -> usize {
         self.paths.dims()[1] / RIGID
     }
 
@@ -61,15 +59,15 @@ impl Capture {
         size: f64,
     ) -> Tensor<3> {
         assert!(!samples.is_empty(), "an exposure without samples");
-        let (n, parts) = (samples.len(), self.parts());
+        let (n, degree) = (samples.len(), self.degree());
         let options = (&middle.device(), middle.dtype());
         let row = |tensor: &Tensor<2>| tensor.clone().narrow(0, frame, 1);
-        let shapes: Vec<f64> = samples
+        let powers: Vec<f64> = samples
             .iter()
-            .flat_map(|sample| (0..parts).map(|k| shape(k, sample.moment)))
+            .flat_map(|sample| (1..=degree).map(|k| sample.moment.powi(k as i32)))
             .collect();
-        let shapes = Tensor::<2>::from_data(TensorData::new(shapes, [n, parts]), options);
-        let path = shapes.matmul(row(&self.paths).reshape([parts, RIGID])); // [n, 6]
+        let powers = Tensor::<2>::from_data(TensorData::new(powers, [n, degree]), options);
+        let path = powers.matmul(row(&self.paths).reshape([degree, RIGID])); // [n, 6]
         let rigid = moved(path, middle, size);
 
         let points: Vec<f64> = samples.iter().flat_map(|sample| sample.lens).collect();
@@ -91,21 +89,6 @@ impl Capture {
         moments * self.shutter.clone().reshape([1])
     }
 
-    /// How far the mean of a frame's path lies from the middle of its exposure in the image at the depth S, focal lengths
-    /// (x, y): [1, 2].
-    ///
-    /// # Panics
-    /// Where there is no such frame.
-    #[must_use]
-    pub fn mean_shift(&self, frame: usize) -> Tensor<2> {
-        let parts = self.parts();
-        let options = (&self.paths.device(), self.paths.dtype());
-        let means: Vec<f64> = (0..parts).map(mean).collect();
-        let means = Tensor::<2>::from_data(TensorData::new(means, [1, parts]), options);
-        let path = self.paths.clone().narrow(0, frame, 1);
-        shift_in_image(means.matmul(path.reshape([parts, RIGID])))
-    }
-
     /// Length of a frame's path in the image at the depth S, px; `focal_px` is the focal length.
     ///
     /// What turns around the optical axis is not counted.
@@ -119,9 +102,9 @@ impl Capture {
         let at = |s: f64| -> [f64; 2] {
             let mut place = [0.0; 2];
             for (k, step) in path.chunks_exact(RIGID).enumerate() {
-                let shape = shape(k, s);
-                place[0] += shape * (step[1] + step[3]);
-                place[1] += shape * (step[4] - step[0]);
+                let power = s.powi(k as i32 + 1);
+                place[0] += power * (step[1] + step[3]);
+                place[1] += power * (step[4] - step[0]);
             }
             place
         };
@@ -181,7 +164,7 @@ mod tests {
                 .collect()
         };
         Capture {
-            paths: tensor(some(48, 0.02), [2, 24]),
+            paths: tensor(some(24, 0.02), [2, 12]),
             focus: tensor(vec![1.3, 0.8], [2, 1]),
             aperture: tensor(vec![0.02], [1, 1]),
             shutter: tensor(vec![0.9], [1, 1]),

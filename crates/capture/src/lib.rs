@@ -11,7 +11,7 @@
 //! use capture::{Capture, samples};
 //!
 //! let device = Device::flex().autodiff();
-//! // Two frames, paths of one part, a scene of size 4.
+//! // Two frames, paths of degree 1, a scene of size 4.
 //! let mut capture = Capture::still(2, 1, (&device, DType::F64));
 //! // Frame 0 turns by 0.01 rad around y.
 //! capture.paths = Tensor::from_data([[0.0, 0.01, 0.0, 0.0, 0.0, 0.0], [0.0; 6]], (&device, DType::F64));
@@ -27,7 +27,6 @@
 
 mod capture;
 mod motion;
-mod path;
 mod samples;
 
 pub use capture::{Capture, RIGID};

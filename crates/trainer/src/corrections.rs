@@ -1,7 +1,6 @@
 //! What was given wrong of the training frames: where they were taken from, and how bright they are against each other.
 
 use crate::look::{Look, Terms};
-use crate::losses::shift_loss;
 use crate::parameter::{Group, Parameter};
 use crate::settings::Settings;
 use crate::survey::Survey;
@@ -49,7 +48,7 @@ impl Corrections {
         Self {
             offsets: frames.offsets.then(|| zeros(RIGID)),
             gains: frames.gains.holds(survey.gains_differ).then(|| zeros(1)),
-            shift_weight: settings.loss.frame_shift,
+            shift_weight: settings.loss.offset_shift,
             scene_size: survey.scene_size,
         }
     }
@@ -74,7 +73,8 @@ impl Corrections {
         if let (Some(view), Some(offsets)) = (look.view, &self.offsets) {
             terms.add("offset_shift", self.shift_weight, || {
                 let shift = shift_in_image(row(offsets, view.frame));
-                shift_loss(shift, view.viewpoint.camera.fx)
+                let px = shift.mul_scalar(view.viewpoint.camera.fx);
+                px.square().sum().reshape([1])
             });
         }
     }

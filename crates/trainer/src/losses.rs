@@ -87,14 +87,6 @@ pub fn detail_loss(render: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
     sum
 }
 
-/// Squared length in px of a frame's shift [1, 2], which is in focal lengths. Shape `[1]`.
-///
-/// What all frames' shifts have in common with where they were taken from is nothing that pictures tell: a scene at other
-/// depths makes up for it.
-pub(crate) fn shift_loss(shift: Tensor<2>, focal_px: f64) -> Tensor<1> {
-    shift.mul_scalar(focal_px).square().sum().reshape([1])
-}
-
 /// L1 between the sharp render and the blurry frame after both are averaged over blocks of `factor` x `factor` pixels.
 ///
 /// Both are [H, W, 3]. Rows and columns that fill no block are left out; a picture smaller than one block is averaged whole.

@@ -243,9 +243,8 @@ pub struct LossSettings {
     pub intensity: f64,
     /// The gauge on the kernels' common shift.
     pub gauge: f64,
-    /// Square of how far a frame is shifted by the mean of its path and by its offset, px. A drift of them over the video is
-    /// nothing that frames tell, since other depths make up for it: this holds it at zero.
-    pub frame_shift: f64,
+    /// Square of how far a frame's offset shifts it, px: what of the offsets no frame tells is held at zero.
+    pub offset_shift: f64,
     /// Fine detail of what the camera is said to have seen against the frame.
     pub detail: f64,
     /// Four times smaller sharp render against the blurry frame.
@@ -271,7 +270,7 @@ impl Default for LossSettings {
             kernel_center_from: 5500,
             intensity: 0.0,
             gauge: 0.1,
-            frame_shift: 0.02,
+            offset_shift: 0.02,
             detail: 1.0,
             downsample: 0.0,
             downsample_after: 1000,
@@ -381,7 +380,7 @@ impl Settings {
         settings.loss.gauge = 0.0;
         settings.loss.detail = 0.0;
         settings.loss.depth_shift = 0.0;
-        settings.loss.frame_shift = 0.0;
+        settings.loss.offset_shift = 0.0;
         settings
     }
 }

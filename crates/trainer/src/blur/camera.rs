@@ -8,8 +8,7 @@ mod trials;
 pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 
 use crate::TrainError;
-use crate::look::{Look, Shown, Terms, render_posed};
-use crate::losses::shift_loss;
+use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
 use crate::settings::{CameraSettings, Settings};
 use crate::survey::Survey;
@@ -36,8 +35,6 @@ const VISITS: usize = 5;
 pub struct CameraBlur {
     capture: Capture,
     settings: CameraSettings,
-    /// Weight of the paths' mean shifts in the loss.
-    shift_weight: f64,
     moments: Moments,
     /// Focal length of each frame, px.
     focal: Vec<f64>,
@@ -86,7 +83,7 @@ impl CameraBlur {
     ) -> Self {
         let (n, camera) = (settings.iterations, &settings.camera);
         let focal: Vec<f64> = views.train.iter().map(|view| view.camera.fx).collect();
-        let width = RIGID * camera.path_parts;
+        let width = RIGID * camera.path_degree;
         let mut paths = vec![0.0; focal.len() * width];
         for (i, (path, (view, focal))) in paths
             .chunks_exact_mut(width)
@@ -99,7 +96,7 @@ impl CameraBlur {
             path[0] = length * angle.cos();
             path[1] = length * angle.sin();
         }
-        let mut capture = Capture::still(focal.len(), camera.path_parts, (device, dtype));
+        let mut capture = Capture::still(focal.len(), camera.path_degree, (device, dtype));
         let table = |values: Vec<f64>, shape| {
             Tensor::<2>::from_data(TensorData::new(values, shape), (device, dtype))
         };
@@ -113,7 +110,6 @@ impl CameraBlur {
         let mut model = Self {
             capture,
             settings: camera.clone(),
-            shift_weight: settings.loss.frame_shift,
             moments: Moments::new(n, focal.len()),
             focal,
             scene_size: survey.scene_size,
@@ -164,17 +160,9 @@ impl CameraBlur {
         let splats = posed.splats.clone();
         let rendered = render_posed(posed, &viewpoint, None)?;
         let exposed = self.exposed(world, look, frame, splats, &trace.view)?;
-        let mut terms = Terms::default();
-        if look.view.is_some() {
-            terms.add("path_shift", self.shift_weight, || {
-                let shift = self.learned(&trace.view).mean_shift(frame);
-                shift_loss(shift, self.focal[frame])
-            });
-        }
         Ok(Shown {
             seen: exposed.color,
             radii: exposed.radii,
-            terms,
             trace: Some(trace),
             ..Shown::sharp(rendered)
         })

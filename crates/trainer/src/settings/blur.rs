@@ -65,8 +65,8 @@ pub struct CameraSettings {
     pub path: bool,
     /// Whether it has a lens with an aperture and a focus.
     pub lens: bool,
-    /// Straight parts of a path: 1, 2, 4 or 8.
-    pub path_parts: usize,
+    /// Degree of the paths, 1 to 3.
+    pub path_degree: usize,
     /// A frame is averaged from at most so many renders, 2 to 64.
     pub samples: usize,
     /// Distance of the samples from each other in the image, px.
@@ -86,7 +86,7 @@ impl Default for CameraSettings {
         Self {
             path: true,
             lens: true,
-            path_parts: 4,
+            path_degree: 2,
             samples: 8,
             spacing_px: 0.75,
             transfer: TransferKind::Srgb,

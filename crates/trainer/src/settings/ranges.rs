@@ -63,9 +63,9 @@ impl Settings {
         )?;
         let c = &self.camera;
         check(
-            [1, 2, 4, 8].contains(&c.path_parts),
-            "camera.path_parts",
-            "1, 2, 4 or 8",
+            (1..=3).contains(&c.path_degree),
+            "camera.path_degree",
+            "1 to 3",
         )?;
         check((2..=64).contains(&c.samples), "camera.samples", "2 to 64")?;
         if let TransferKind::Power(gamma) = c.transfer {
@@ -115,7 +115,7 @@ impl Settings {
             (w.intensity, "loss.intensity"),
             (w.gauge, "loss.gauge"),
             (w.detail, "loss.detail"),
-            (w.frame_shift, "loss.frame_shift"),
+            (w.offset_shift, "loss.offset_shift"),
             (w.downsample, "loss.downsample"),
             (w.bases_acceleration, "loss.bases_acceleration"),
             (w.means_acceleration, "loss.means_acceleration"),

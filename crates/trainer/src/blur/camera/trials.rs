@@ -83,7 +83,7 @@ impl CameraBlur {
                 let straight = others(&fresh.1, 0, &[0.5, 1.0, 2.0], length);
                 self.try_each(world, look, straight, &mut fresh)?;
                 for bend in 1..own.len() / RIGID {
-                    let bent = others(&fresh.1, bend, &[1.0, 2.0], length);
+                    let bent = others(&fresh.1, bend, &[2.0, 4.0], length);
                     self.try_each(world, look, bent, &mut fresh)?;
                 }
                 if fresh.0 < best.0 {
