@@ -1,5 +1,6 @@
 //! A copy of a scene whose training poses are wrong, to measure what refining them gives.
 
+use std::ffi::CStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -11,41 +12,54 @@ use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
 type Failure = Box<dyn std::error::Error>;
 
 /// Copies a scene in the layout of Shape-of-Motion to `out`, and turns the camera of every training frame (of an even number
-/// in its COLMAP model) at random, so that the picture's middle moves by `px` (root mean square, normally distributed).
+/// as its name in the COLMAP model) at random, so that the picture's middle moves by `px` (root mean square, normally
+/// distributed, zero on average over the frames).
 ///
 /// # Errors
-/// There is no such scene, it has no binary COLMAP model, or `out` cannot be written.
+/// There is no such scene, it has no binary COLMAP model of numbered pairs, or `out` cannot be written.
 pub fn perturb(scene: &Path, out: &Path, px: f64, seed: u64) -> Result<(), Failure> {
-    let focal = focal_px(scene)?;
+    let sigma = px / focal_px(scene)? / 2.0_f64.sqrt();
     copy(scene, out)?;
     let path = images_file(out).ok_or("the scene has no images.bin")?;
     let mut bytes = fs::read(&path)?;
+    let poses = training_poses(&bytes)?;
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let sigma = px / focal / 2.0_f64.sqrt();
-    let mut at = 8;
-    for _ in 0..number(&bytes, 0)? {
-        // The number's lowest byte comes first.
-        if bytes.get(at).is_some_and(|id| id.is_multiple_of(2)) {
-            turn(&mut bytes, at + 4, sigma, &mut random)?;
-        }
-        let name = at + 64;
-        let length = bytes
-            .get(name..)
-            .and_then(|rest| rest.iter().position(|b| *b == 0));
-        let points = name + length.ok_or("images.bin ends too early")? + 1;
-        at = points + 8 + 24 * usize::try_from(number(&bytes, points)?)?;
+    let turns: Vec<DVec3> = poses
+        .iter()
+        .map(|_| sigma * DVec3::new(normal(&mut random), normal(&mut random), 0.0))
+        .collect();
+    let mean = turns.iter().sum::<DVec3>() / turns.len().max(1) as f64;
+    for (at, turn) in poses.into_iter().zip(turns) {
+        turn_pose(&mut bytes, at, turn - mean)?;
     }
     Ok(fs::write(&path, bytes)?)
 }
 
-/// Turns the pose (quaternion w x y z, translation) at a place of the file in the camera's axes x and y.
-fn turn(bytes: &mut [u8], at: usize, sigma: f64, random: &mut ChaCha8Rng) -> Result<(), Failure> {
+/// Where the file has the poses of the training frames.
+fn training_poses(bytes: &[u8]) -> Result<Vec<usize>, Failure> {
+    let (mut at, mut poses) = (8, Vec::new());
+    for _ in 0..number(bytes, 0)? {
+        let rest = bytes.get(at + 64..).ok_or("images.bin ends too early")?;
+        let name = CStr::from_bytes_until_nul(rest)?;
+        let stem = Path::new(name.to_str()?).file_stem();
+        let index: usize = stem.unwrap_or_default().to_string_lossy().parse()?;
+        if index.is_multiple_of(2) {
+            poses.push(at + 4);
+        }
+        let points = at + 64 + name.to_bytes_with_nul().len();
+        at = points + 8 + 24 * usize::try_from(number(bytes, points)?)?;
+    }
+    Ok(poses)
+}
+
+/// Turns the pose (quaternion w x y z, translation) at a place of the file in the camera's axes.
+fn turn_pose(bytes: &mut [u8], at: usize, turn: DVec3) -> Result<(), Failure> {
     let mut pose = [0.0; 7];
     for (k, value) in pose.iter_mut().enumerate() {
         *value = f64::from_bits(number(bytes, at + 8 * k)?);
     }
     let [w, x, y, z, shift @ ..] = pose;
-    let by = DQuat::from_scaled_axis(sigma * DVec3::new(normal(random), normal(random), 0.0));
+    let by = DQuat::from_scaled_axis(turn);
     let rotation = by * DQuat::from_xyzw(x, y, z, w);
     let shift = by * DVec3::from_array(shift);
     let turned = [

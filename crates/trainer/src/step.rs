@@ -143,7 +143,7 @@ impl Trainer {
             return Ok(());
         }
         let mut blur = run.state.model.blur.clone();
-        let training = |frame| ViewRef::training(&run.plan.views, data, frame);
+        let training = |frame| data.training_view(&run.plan.views, frame);
         let views: Vec<_> = (0..run.plan.views.train.len()).map(training).collect();
         let corrections = run.state.model.detached().corrections;
         let looks = views.iter().map(|view| run.look_at(view, it));

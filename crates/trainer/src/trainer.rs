@@ -55,6 +55,13 @@ impl Data {
             unseen,
         }
     }
+
+    /// A training frame to learn from.
+    pub(crate) fn training_view<'a>(&'a self, views: &'a Views, frame: usize) -> ViewRef<'a> {
+        let mut view = ViewRef::training(views, &self.scene, frame);
+        view.points = self.points[frame].as_deref();
+        view
+    }
 }
 
 /// Why blur is modelled or not, where that is left to the survey.
@@ -347,7 +354,7 @@ impl Trainer {
         frame: usize,
     ) -> Result<Vec<(&'static str, Tensor<1>)>, TrainError> {
         let plan = &self.run.plan;
-        let view = ViewRef::training(&plan.views, &self.data, frame);
+        let view = self.data.training_view(&plan.views, frame);
         let look = self.run.look_at(&view, it);
         let fixed = fixed.show(&look, None)?;
         let shown = model.show(&look, Some(&fixed))?;
@@ -371,7 +378,7 @@ impl Trainer {
         } else {
             let (count, n) = (progress.training_draws, plan.views.train.len());
             let frame = draw(seed, Purpose::TrainOrder, count, n);
-            ViewRef::training(&plan.views, &self.data, frame)
+            self.data.training_view(&plan.views, frame)
         }
     }
 }

@@ -1,6 +1,5 @@
 //! Where views are seen from, and what an iteration learns from.
 
-use crate::trainer::Data;
 use burn::tensor::{Bool, DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec3};
 use io::Scene;
@@ -98,14 +97,14 @@ pub(crate) struct ViewRef<'a> {
 }
 
 impl<'a> ViewRef<'a> {
-    pub(crate) fn training(views: &'a Views, data: &'a Data, frame: usize) -> Self {
-        let source = &data.scene.frames[frame];
+    pub(crate) fn training(views: &'a Views, scene: &'a Scene, frame: usize) -> Self {
+        let source = &scene.frames[frame];
         Self {
             viewpoint: &views.train[frame],
             frame,
             image: &source.view.image.pixels,
             depth: source.depth.as_ref().map(|m| m.values.as_slice()),
-            points: data.points[frame].as_deref(),
+            points: None,
             mask: source.mask.as_ref().map(|m| m.values.as_slice()),
             valid: None,
         }
