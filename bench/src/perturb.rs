@@ -2,7 +2,7 @@
 
 use std::ffi::CStr;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 
 use glam::{DQuat, DVec3};
 use io::Scene;
@@ -16,9 +16,13 @@ type Failure = Box<dyn std::error::Error>;
 /// distributed, zero on average over the frames).
 ///
 /// # Errors
-/// There is no such scene, it has no binary COLMAP model of numbered pairs, or `out` cannot be written.
+/// There is no such scene, it has no binary COLMAP model of numbered pairs, or `out` exists, lies in the scene or cannot be
+/// written.
 pub fn perturb(scene: &Path, out: &Path, px: f64, seed: u64) -> Result<(), Failure> {
     let sigma = px / focal_px(scene)? / 2.0_f64.sqrt();
+    if out.exists() || absolute(out)?.starts_with(absolute(scene)?) {
+        return Err("the copy goes to a new folder outside of the scene".into());
+    }
     copy(scene, out)?;
     let path = images_file(out).ok_or("the scene has no images.bin")?;
     let mut bytes = fs::read(&path)?;

@@ -1,6 +1,7 @@
 //! How much the frames of a video differ in brightness: auto-exposure shows before anything is trained.
 
 use crate::statistics::median;
+use crate::views::pixel_of;
 use glam::DVec2;
 use io::Frame;
 
@@ -48,14 +49,9 @@ fn pair_change(a: &Frame, b: &Frame) -> Option<f64> {
             }
             let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
             let seen = b_from_a.transform_point3(a.view.camera.unproject(pixel, z));
-            let pixel = b.view.camera.project(seen);
-            let inside = seen.z > 0.0
-                && (0.0..other.width as f64).contains(&pixel.x)
-                && (0.0..other.height as f64).contains(&pixel.y);
-            if !inside {
+            let Some(j) = pixel_of(&b.view.camera, seen) else {
                 continue;
-            }
-            let j = pixel.y as usize * other.width + pixel.x as usize;
+            };
             let hidden = (f64::from(other.values[j]) / seen.z - 1.0).abs() > HIDDEN;
             let colors = [(a, i), (b, j)].map(|(f, k)| &f.view.image.pixels[3 * k..3 * k + 3]);
             let cut = colors.iter().any(|c| c.iter().any(|v| *v > SATURATED));

@@ -5,7 +5,7 @@ use crate::parameter::{Group, Parameter};
 use crate::settings::Settings;
 use crate::survey::Survey;
 use crate::tensors::{host, leaf};
-use crate::views::{CameraView, Views, pose_of, pose_tensor};
+use crate::views::{CameraView, Views, pose_tensor, poses_of};
 use burn::tensor::{DType, Device, Tensor};
 use capture::{RIGID, moved, shift_in_image};
 use glam::DAffine3;
@@ -62,7 +62,8 @@ impl Corrections {
         if let Some(offsets) = &self.offsets {
             let options = (&offsets.device(), offsets.dtype());
             let given = pose_tensor(&look.viewpoint.cam_from_world, options);
-            look.pose = Some(self.moved(frame, offsets, &given));
+            let moved = moved(row(offsets, frame), &given, self.scene_size);
+            look.pose = Some(moved.reshape([3, 4]));
         }
         look.gain = self.gains.as_ref().map(|gains| row(gains, frame).exp());
         look
@@ -85,16 +86,9 @@ impl Corrections {
             return *given;
         };
         let options = (&offsets.device(), offsets.dtype());
-        let rows = host(
-            self.moved(frame, offsets, &pose_tensor(given, options))
-                .detach(),
-        );
-        let rows: [f64; 12] = std::array::from_fn(|k| f64::from(rows[k]));
-        pose_of(&rows)
-    }
-
-    fn moved(&self, frame: usize, offsets: &Tensor<2>, given: &Tensor<2>) -> Tensor<2> {
-        moved(row(offsets, frame), given, self.scene_size).reshape([3, 4])
+        let given = pose_tensor(given, options);
+        let corrected = poses_of(moved(row(offsets, frame), &given, self.scene_size));
+        corrected[0]
     }
 
     /// Takes the mean over all frames out, which is the scene's.
@@ -119,22 +113,20 @@ impl Corrections {
         if self.offsets.is_none() && self.gains.is_none() {
             return None;
         }
-        let numbers = |values: Tensor<2>| host(values.detach()).into_iter().map(f64::from);
-        let shift_px = |frame, focal: f64| {
-            let shift = |offsets| numbers(shift_in_image(row(offsets, frame)));
-            let length = |shift| focal * f64::sqrt(shift);
-            self.offsets
-                .as_ref()
-                .map_or(0.0, |offsets| length(shift(offsets).map(|v| v * v).sum()))
-        };
-        let gain = |frame| {
-            let gains = self.gains.as_ref();
-            gains.map_or(1.0, |gains| numbers(row(gains, frame)).sum::<f64>().exp())
-        };
+        let shifts = self
+            .offsets
+            .clone()
+            .map(|t| host(shift_in_image(t.detach())));
+        let gains = self.gains.clone().map(|t| host(t.detach()));
         let frames = views.iter().enumerate();
         let corrections = frames.map(|(frame, view)| FrameCorrection {
-            offset_px: shift_px(frame, view.camera.fx),
-            gain: gain(frame),
+            offset_px: shifts.as_ref().map_or(0.0, |shifts| {
+                let [x, y] = [0, 1].map(|axis| f64::from(shifts[2 * frame + axis]));
+                view.camera.fx * x.hypot(y)
+            }),
+            gain: gains
+                .as_ref()
+                .map_or(1.0, |gains| f64::from(gains[frame]).exp()),
         });
         Some(corrections.collect())
     }

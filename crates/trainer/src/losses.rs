@@ -184,13 +184,12 @@ pub fn depth_shift_loss(
         false => 0.0,
     });
     let wanted: Vec<f64> = wanted.collect();
-    let counts = points.iter().map(|&z| f64::from(u8::from(z > 0.0)));
-    let counts: Vec<f64> = counts.collect();
-    let map = |values| Tensor::<2>::from_data(TensorData::new(values, shape), options);
+    let wanted = Tensor::<2>::from_data(TensorData::new(wanted, shape), options);
     let alpha = alpha.clone().detach();
-    let counts = map(counts) * alpha.clone().greater_elem(0.5).float().cast(options.1);
+    let counted = wanted.clone().greater_elem(0.0).float().cast(options.1);
+    let counts = counted * alpha.clone().greater_elem(0.5).float().cast(options.1);
     let rendered = (depth / alpha.clamp_min(0.5)).clamp_min(near);
-    let difference = rendered.recip().mul_scalar(scene_size) - map(wanted);
+    let difference = rendered.recip().mul_scalar(scene_size) - wanted;
     let sum = (difference.clamp(-SHIFT_RANGE, SHIFT_RANGE) * counts.clone()).sum();
     (sum / counts.sum().clamp_min(1.0)).square()
 }

@@ -185,7 +185,7 @@ impl When {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FrameSettings {
-    /// Whether the given poses are refined, from the middle of the run on.
+    /// Whether the given poses are refined.
     pub offsets: bool,
     /// When each frame has a gain of its own, for auto-exposure: by default where the survey finds that frames differ.
     pub gains: When,

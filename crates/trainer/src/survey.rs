@@ -3,6 +3,7 @@
 use crate::brightness::{brightness_change, gains_differ};
 use crate::error::{SceneProblem, TrainError};
 use crate::sharpness::{is_blurred, sharpness_change};
+use crate::views::pixel_of;
 use io::{Frame, Map, Scene, SparsePoint};
 use serde::{Deserialize, Serialize};
 
@@ -133,11 +134,7 @@ fn sparse_depths(scene: &Scene) -> Vec<f32> {
         .flat_map(|view| {
             points.iter().filter_map(|p| {
                 let c = view.cam_from_world.transform_point3(p.position);
-                let pixel = view.camera.project(c);
-                let inside = c.z > 0.0
-                    && (0.0..view.camera.width as f64).contains(&pixel.x)
-                    && (0.0..view.camera.height as f64).contains(&pixel.y);
-                inside.then_some(c.z as f32)
+                pixel_of(&view.camera, c).map(|_| c.z as f32)
             })
         })
         .collect()
@@ -154,17 +151,10 @@ fn points_in<'a>(
     frame: &'a Frame,
     points: &'a [SparsePoint],
 ) -> impl Iterator<Item = (usize, f64)> + 'a {
-    let (view, [width, height]) = (
-        &frame.view,
-        [frame.view.camera.width, frame.view.camera.height],
-    );
+    let view = &frame.view;
     points.iter().filter_map(move |point| {
         let c = view.cam_from_world.transform_point3(point.position);
-        let pixel = view.camera.project(c);
-        let inside = c.z > 0.0
-            && (0.0..width as f64).contains(&pixel.x)
-            && (0.0..height as f64).contains(&pixel.y);
-        let i = inside.then(|| pixel.y as usize * width + pixel.x as usize)?;
+        let i = pixel_of(&view.camera, c)?;
         let moving = frame.mask.as_ref().is_some_and(|m| m.values[i] > 0.0);
         (!moving).then_some((i, c.z))
     })

@@ -1,5 +1,6 @@
 //! Where views are seen from, and what an iteration learns from.
 
+use crate::tensors::host;
 use burn::tensor::{Bool, DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec3};
 use io::Scene;
@@ -30,7 +31,7 @@ fn read_pose<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DAffine3, D::
 }
 
 /// The pose whose rows [R | t] are these; see [`pose_rows`].
-pub(crate) fn pose_of(r: &[f64; 12]) -> DAffine3 {
+fn pose_of(r: &[f64; 12]) -> DAffine3 {
     DAffine3 {
         matrix3: DMat3::from_cols_array(&[r[0], r[4], r[8], r[1], r[5], r[9], r[2], r[6], r[10]]),
         translation: DVec3::new(r[3], r[7], r[11]),
@@ -40,6 +41,22 @@ pub(crate) fn pose_of(r: &[f64; 12]) -> DAffine3 {
 /// A pose as the renderer takes it, [3, 4].
 pub(crate) fn pose_tensor(pose: &DAffine3, options: (&Device, DType)) -> Tensor<2> {
     Tensor::from_data(TensorData::new(pose_rows(pose).to_vec(), [3, 4]), options)
+}
+
+/// The poses whose rows [R | t] a tensor [n, 3, 4] holds.
+pub(crate) fn poses_of(poses: Tensor<3>) -> Vec<DAffine3> {
+    let rows = host(poses.detach());
+    let rows = rows.as_chunks::<12>().0.iter();
+    rows.map(|rows| pose_of(&rows.map(f64::from))).collect()
+}
+
+/// Index of the pixel that sees a point of the camera's space; `None` behind the camera and outside of the picture.
+pub(crate) fn pixel_of(camera: &Camera, point: DVec3) -> Option<usize> {
+    let pixel = camera.project(point);
+    let inside = point.z > 0.0
+        && (0.0..camera.width as f64).contains(&pixel.x)
+        && (0.0..camera.height as f64).contains(&pixel.y);
+    inside.then(|| pixel.y as usize * camera.width + pixel.x as usize)
 }
 
 /// The views of a scene, as far as rendering needs them.

@@ -13,7 +13,7 @@ use crate::parameter::{Group, Parameter};
 use crate::settings::{CameraSettings, Settings};
 use crate::survey::Survey;
 use crate::tensors::{constant, host};
-use crate::views::{Views, pose_of, pose_tensor};
+use crate::views::{Views, pose_tensor, poses_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for};
@@ -241,10 +241,8 @@ impl CameraBlur {
         let middle = pose_tensor(middle, options);
         let poses = self.capture.poses(frame, &middle, &taken, self.scene_size);
         let times = host(self.capture.moments(&taken).detach());
-        let rows = host(poses.detach());
-        let poses = rows.as_chunks::<12>().0.iter();
-        let poses = poses.map(|rows| pose_of(&rows.map(f64::from)));
-        times.into_iter().map(f64::from).zip(poses).collect()
+        let times = times.into_iter().map(f64::from);
+        times.zip(poses_of(poses)).collect()
     }
 
     /// Whether frames try other paths once `it` iterations are done.

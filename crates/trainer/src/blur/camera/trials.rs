@@ -35,11 +35,11 @@ impl CameraBlur {
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
         }
-        let now = trial.try_parts(&world, looks)?;
+        let mut now = trial.try_parts(&world, looks)?;
         if self.settings.lens && last {
-            trial.try_apertures(&world, looks, now)?;
+            now = trial.try_apertures(&world, looks, now)?;
         }
-        let changed = trial.try_paths(&world, looks, last)?;
+        let changed = trial.try_paths(&world, looks, &now, last)?;
         for ((_, own), (_, found)) in self
             .parameters_mut()
             .into_iter()
@@ -50,19 +50,19 @@ impl CameraBlur {
         Ok(changed)
     }
 
-    /// Leaves on every frame the path that explains it best; says on which it is another one now.
+    /// Leaves on every frame the path that explains it best; `now` are the frames' errors as it is. Says on which frames it is
+    /// another one now.
     fn try_paths(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
+        now: &[f64],
         last: bool,
     ) -> Result<Vec<usize>, TrainError> {
-        let errors = looks.iter().map(|look| self.error(world, look));
-        let now = errors.collect::<Result<Vec<_>, _>>()?;
         let lengths: Vec<f64> = (0..looks.len())
             .map(|frame| self.capture.path_px(frame, self.focal[frame]))
             .collect();
-        let (usual, usual_px) = (median(&now), median(&lengths));
+        let (usual, usual_px) = (median(now), median(&lengths));
         if lengths.iter().all(|length| *length == 0.0) {
             return Ok(Vec::new());
         }
@@ -127,8 +127,8 @@ impl CameraBlur {
         Ok(())
     }
 
-    /// Leaves the lens out if it does not pay, and then all paths; returns the error of all frames with what stays.
-    fn try_parts(&mut self, world: &World, looks: &[Look<'_>]) -> Result<f64, TrainError> {
+    /// Leaves the lens out if it does not pay, and then all paths; returns the frames' errors with what stays.
+    fn try_parts(&mut self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
         let mut now = self.errors(world, looks)?;
         type Part = fn(&mut Capture) -> &mut Tensor<2>;
         let parts: [Part; 2] = [|c| &mut c.aperture, |c| &mut c.paths];
@@ -136,7 +136,7 @@ impl CameraBlur {
             let own = part(&mut self.capture).clone();
             *part(&mut self.capture) = own.zeros_like();
             let without = self.errors(world, looks)?;
-            if without > (1.0 + PART_PAYS) * now {
+            if total(&without) > (1.0 + PART_PAYS) * total(&now) {
                 *part(&mut self.capture) = own;
             } else {
                 now = without;
@@ -145,29 +145,30 @@ impl CameraBlur {
         Ok(now)
     }
 
-    /// Leaves a larger or smaller aperture if that pays; `now` is the error of all frames as it is.
+    /// Leaves a larger or smaller aperture if that pays; takes the frames' errors as it is, and returns them with what stays.
     fn try_apertures(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
-        now: f64,
-    ) -> Result<(), TrainError> {
+        now: Vec<f64>,
+    ) -> Result<Vec<f64>, TrainError> {
         let own = self.capture.aperture.clone();
-        let mut best = (now / (1.0 + PART_PAYS), 1.0);
+        let (mut least, mut best) = (total(&now) / (1.0 + PART_PAYS), (now, 1.0));
         for times in [0.5, 0.7, 1.4, 2.0] {
             self.capture.aperture = own.clone() * times;
-            let error = self.errors(world, looks)?;
-            if error < best.0 {
-                best = (error, times);
+            let errors = self.errors(world, looks)?;
+            if total(&errors) < least {
+                least = total(&errors);
+                best = (errors, times);
             }
         }
         self.capture.aperture = own * best.1;
-        Ok(())
+        Ok(best.0)
     }
 
-    /// Sum of the errors of all frames.
-    fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<f64, TrainError> {
-        looks.iter().map(|look| self.error(world, look)).sum()
+    /// The error of every frame.
+    fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
+        looks.iter().map(|look| self.error(world, look)).collect()
     }
 
     fn path(&self, frame: usize) -> Vec<f32> {
@@ -203,7 +204,12 @@ impl CameraBlur {
     }
 }
 
-/// Paths whose function k goes in eight directions, so many times `length` (rad), and that are otherwise as `path`.
+fn total(errors: &[f64]) -> f64 {
+    errors.iter().sum()
+}
+
+/// Paths whose coefficients of s^(k + 1) go in eight directions, so many times `length` (rad), and that are otherwise as
+/// `path`.
 fn others(path: &[f32], k: usize, times: &[f64], length: f64) -> Vec<Vec<f32>> {
     let directions = (0..8).map(|i| std::f64::consts::TAU * f64::from(i) / 8.0);
     let ways = directions.flat_map(|angle| times.iter().map(move |times| (angle, times * length)));
@@ -218,7 +224,7 @@ fn others(path: &[f32], k: usize, times: &[f64], length: f64) -> Vec<Vec<f32>> {
     .collect()
 }
 
-/// How far a path leads from its start to its end, focal lengths.
+/// How far a path would lead at the speed of the middle of the exposure, focal lengths.
 fn speed(path: &[f32]) -> f32 {
     (path[1] + path[3]).hypot(path[4] - path[0])
 }
