@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use crate::motion::moved;
+use crate::motion::{moved, shift_in_image};
 use crate::samples::Sample;
 
 /// Numbers of a rigid motion: a rotation vector (rad) and a translation (scene sizes), in the camera's axes.
@@ -87,6 +87,42 @@ impl Capture {
         let moments: Vec<f64> = samples.iter().map(|sample| sample.moment).collect();
         let moments = Tensor::<1>::from_data(TensorData::new(moments, [samples.len()]), options);
         moments * self.shutter.clone().reshape([1])
+    }
+
+    /// How far what is ahead at the depth S is from its place in the sharp picture on average over a frame's exposure, focal
+    /// lengths (x, y): [N, 2].
+    #[must_use]
+    pub fn mean_shifts(&self) -> Tensor<2> {
+        let (num_frames, degree) = (self.paths.dims()[0], self.degree());
+        let options = (&self.paths.device(), self.paths.dtype());
+        // The mean of s^k from -1/2 to 1/2.
+        let mean_power = |k: i32| {
+            if k % 2 == 0 {
+                0.5_f64.powi(k) / f64::from(k + 1)
+            } else {
+                0.0
+            }
+        };
+        let powers: Vec<f64> = (1..=degree).map(|k| mean_power(k as i32)).collect();
+        let powers = Tensor::<3>::from_data(TensorData::new(powers, [1, degree, 1]), options);
+        let paths = self.paths.clone().reshape([num_frames, degree, RIGID]);
+        shift_in_image((paths * powers).sum_dim(1).reshape([num_frames, RIGID]))
+    }
+
+    /// Bends the paths by turns, so that [`Self::mean_shifts`] grow by `shifts`; the middle of the exposure stays where it is.
+    ///
+    /// # Panics
+    /// Paths are straight (of degree 1), or `shifts` are not [N, 2].
+    pub fn bend(&mut self, shifts: Tensor<2>) {
+        let degree = self.degree();
+        assert!(degree > 1, "a straight path has no mean but its middle");
+        let options = (&self.paths.device(), self.paths.dtype());
+        // A turn of (-y, x) shifts by (x, y), and the mean of s² is 1/12.
+        let mut turns = vec![0.0; 2 * RIGID * degree];
+        turns[RIGID + 1] = 12.0;
+        turns[RIGID * degree + RIGID] = -12.0;
+        let turns = TensorData::new(turns, [2, RIGID * degree]);
+        self.paths = self.paths.clone() + shifts.matmul(Tensor::from_data(turns, options));
     }
 
     /// Length of a frame's path in the image at the depth S, px; `focal_px` is the focal length.
@@ -264,6 +300,49 @@ mod tests {
             "{found} px, {} px",
             100.0 * length
         );
+    }
+
+    /// Mean place of what is ahead at the depth S in the picture of frame 1, from 400 moments; small motions.
+    fn mean_place(capture: &Capture) -> [f64; 2] {
+        let ahead = tensor(
+            vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+            [3, 4],
+        );
+        let moments = (0..400).map(|k| (f64::from(k) + 0.5) / 400.0 - 0.5);
+        let moments: Vec<Sample> = moments.map(Sample::through_the_middle).collect();
+        let poses = values(&capture.poses(1, &ahead, &moments, SIZE));
+        let places = poses
+            .chunks_exact(12)
+            .map(|pose| seen(pose, [0.0, 0.0, SIZE]));
+        places.fold([0.0; 2], |sum, place| {
+            [0, 1].map(|axis| sum[axis] + place[axis] / 400.0)
+        })
+    }
+
+    #[test]
+    fn the_mean_shift_is_that_of_the_picture_and_bending_moves_it_alone() {
+        for degree in [2, 3, 4] {
+            let numbers = (0..12 * degree).map(|k| 1e-4 * (1.3 * f64::from(k)).cos());
+            let mut capture = capture();
+            capture.paths = tensor(numbers.collect(), [2, 6 * degree as usize]);
+            let before = values(&capture.mean_shifts());
+            // What is left out is of the second order in the motions.
+            let [x, y] = mean_place(&capture);
+            assert!((before[2] - x).abs() < 1e-7, "{degree}: {} {x}", before[2]);
+            assert!((before[3] - y).abs() < 1e-7, "{degree}: {} {y}", before[3]);
+
+            let by = [3e-4, -1e-4, -2e-4, 5e-4];
+            let speeds = values(&capture.paths.clone().narrow(1, 0, RIGID));
+            capture.bend(tensor(by.to_vec(), [2, 2]));
+            let after = values(&capture.mean_shifts());
+            for ((after, before), by) in after.iter().zip(&before).zip(by) {
+                assert!((after - before - by).abs() < 1e-15, "{degree}");
+            }
+            let [x, y] = mean_place(&capture);
+            assert!((after[2] - x).abs() < 1e-6, "{degree}: {} {x}", after[2]);
+            assert!((after[3] - y).abs() < 1e-6, "{degree}: {} {y}", after[3]);
+            assert_eq!(values(&capture.paths.narrow(1, 0, RIGID)), speeds);
+        }
     }
 
     #[test]

@@ -132,6 +132,14 @@ impl BlurModel {
         }
     }
 
+    /// Takes out what cannot be told from the scene, after iteration `it`.
+    pub(crate) fn hold(&mut self, it: usize) {
+        match self {
+            Self::Off | Self::Kernels(_) => {}
+            Self::Camera(camera) => camera.hold(it),
+        }
+    }
+
     /// Whether [`Self::revise`] has something to do once `it` iterations are done.
     pub(crate) fn revises(&self, it: usize) -> bool {
         match self {

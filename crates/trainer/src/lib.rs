@@ -39,6 +39,7 @@ mod corrections;
 mod cpu;
 mod dynamics;
 mod error;
+mod gauge;
 mod lifting;
 mod look;
 mod model;

@@ -101,6 +101,7 @@ impl Trainer {
             state.model.blur.learned(frame, trace);
         }
         self.step_parameters(it, frame, gradients);
+        self.run.state.model.blur.hold(it);
         self.run.state.model.corrections.hold();
         self.change_gaussians(it);
 

@@ -8,11 +8,12 @@ mod trials;
 pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 
 use crate::TrainError;
+use crate::gauge::Gauge;
 use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
 use crate::settings::{CameraSettings, Settings};
 use crate::survey::Survey;
-use crate::tensors::{constant, host};
+use crate::tensors::{constant, host, leaf};
 use crate::views::{Views, pose_tensor, poses_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
@@ -34,6 +35,7 @@ const VISITS: usize = 5;
 #[derive(Clone, Debug)]
 pub struct CameraBlur {
     capture: Capture,
+    gauge: Gauge,
     settings: CameraSettings,
     moments: Moments,
     /// Focal length of each frame, px.
@@ -109,6 +111,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
+            gauge: Gauge::of(&views.train, (&device.clone().inner(), dtype)),
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
             focal,
@@ -243,6 +246,29 @@ impl CameraBlur {
         let times = host(self.capture.moments(&taken).detach());
         let times = times.into_iter().map(f64::from);
         times.zip(poses_of(poses)).collect()
+    }
+
+    /// Takes out of the paths' means what all frames have in common, which is the scene's. (A path that a trial left out stays
+    /// out.)
+    pub(super) fn hold(&mut self, it: usize) {
+        if !self.settings.path || self.settings.path_degree < 2 || !self.is_on(it) {
+            return;
+        }
+        let mut held = Capture {
+            paths: self.capture.paths.clone().inner(),
+            ..self.capture.clone()
+        };
+        let moving = held
+            .paths
+            .clone()
+            .abs()
+            .max_dim(1)
+            .greater_scalar(0.0)
+            .float()
+            .cast(held.paths.dtype());
+        let common = self.gauge.common(held.mean_shifts(), moving);
+        held.bend(-common);
+        self.capture.paths = leaf(held.paths, true);
     }
 
     /// Whether frames try other paths once `it` iterations are done.

@@ -1,0 +1,137 @@
+//! What shifts of frames in the image cannot be told from a scene that lies elsewhere: that is the scene's.
+
+use crate::views::CameraView;
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use glam::DVec3;
+use splat_core::camera_center;
+
+/// The shifts that N frames show if the scene lies elsewhere. Either all shift alike, or each by how far its camera stands
+/// aside, as they do if every point is nearer by the same disparity.
+#[derive(Clone, Debug)]
+pub(crate) struct Gauge {
+    /// Where the cameras stand, right and down in their own axes, away from their mean; scene units: [N, 2].
+    places: Tensor<2>,
+}
+
+impl Gauge {
+    /// Of frames that were seen so.
+    pub(crate) fn of(views: &[CameraView], options: (&Device, DType)) -> Self {
+        let centers: Vec<DVec3> = views
+            .iter()
+            .map(|v| camera_center(&v.cam_from_world))
+            .collect();
+        let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
+        let places = views.iter().zip(&centers).flat_map(|(view, center)| {
+            let aside = view.cam_from_world.transform_vector3(center - mean);
+            [aside.x, aside.y]
+        });
+        let places = TensorData::new(places.collect::<Vec<f64>>(), [views.len(), 2]);
+        Self {
+            places: Tensor::from_data(places, options),
+        }
+    }
+
+    /// What of the frames' shifts [N, 2] is the scene's, by least squares over those that count (1 of [N, 1]); 0 in others.
+    pub(crate) fn common(&self, shifts: Tensor<2>, counted: Tensor<2>) -> Tensor<2> {
+        let number = counted.clone().sum_dim(0).clamp_min(1.0);
+        let centered = |values: Tensor<2>| {
+            let mean = (values.clone() * counted.clone()).sum_dim(0) / number.clone();
+            ((values - mean.clone()) * counted.clone(), mean)
+        };
+        let (places, _) = centered(self.places.clone());
+        let (rest, mean) = centered(shifts);
+        let total = |values: Tensor<2>| values.sum_dim(0).sum_dim(1);
+        let disparity =
+            total(rest * places.clone()) / total(places.clone().square()).clamp_min(1e-12);
+        places * disparity + mean * counted
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DAffine3, DQuat};
+    use splat_core::Camera;
+
+    fn views() -> Vec<CameraView> {
+        let view = |k: usize| {
+            let t = k as f64;
+            let turn = DQuat::from_scaled_axis(
+                0.03 * DVec3::new(t.sin(), (2.0 * t).cos(), (3.0 * t).sin()),
+            );
+            let center = DVec3::new(0.2 * t - 0.4, 0.1 * (1.7 * t).sin(), 0.3 * (0.9 * t).cos());
+            CameraView {
+                name: k.to_string(),
+                camera: Camera::pinhole([64, 36], [50.0; 2], [32.0, 18.0]),
+                cam_from_world: DAffine3::from_rotation_translation(turn, turn * -center),
+                time: k as f32,
+            }
+        };
+        (0..9).map(view).collect()
+    }
+
+    fn tensor(values: Vec<f64>, columns: usize) -> Tensor<2> {
+        let rows = values.len() / columns;
+        Tensor::from_data(
+            TensorData::new(values, [rows, columns]),
+            options_of(&Device::flex()),
+        )
+    }
+
+    fn options_of(device: &Device) -> (&Device, DType) {
+        (device, DType::F64)
+    }
+
+    fn values(tensor: Tensor<2>) -> Vec<f64> {
+        tensor.try_into_vec_as::<f64>().expect("f64")
+    }
+
+    #[test]
+    fn a_scene_that_lies_elsewhere_is_all_that_is_common_and_nothing_is_left_of_it() {
+        let views = views();
+        let gauge = Gauge::of(&views, options_of(&Device::flex()));
+        let centers = views.iter().map(|v| camera_center(&v.cam_from_world));
+        let mean = centers.sum::<DVec3>() / views.len() as f64;
+        // Points ahead, seen alike from the mean place and nearer by a disparity: they shift in a frame by how far it stands aside.
+        let (disparity, all) = (0.004, DVec3::new(0.003, -0.001, 0.0));
+        let shifts = views.iter().flat_map(|view| {
+            let aside = view
+                .cam_from_world
+                .transform_vector3(camera_center(&view.cam_from_world) - mean);
+            let ahead = |inverse: f64| -aside * inverse;
+            let shift = ahead(1.0 / 5.0 + disparity) - ahead(1.0 / 5.0) + all;
+            [shift.x, shift.y]
+        });
+        let shifts = shifts.collect::<Vec<f64>>();
+        let counted = tensor(vec![1.0; views.len()], 1);
+        let common = values(gauge.common(tensor(shifts.clone(), 2), counted.clone()));
+        for (common, shift) in common.iter().zip(&shifts) {
+            assert!((common - shift).abs() < 1e-12, "{common} {shift}");
+        }
+
+        // Of any shifts, what is not common has nothing in common.
+        let any: Vec<f64> = (0..18).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
+        let common = gauge.common(tensor(any.clone(), 2), counted.clone());
+        let rest = tensor(any, 2) - common;
+        for value in values(gauge.common(rest, counted)) {
+            assert!(value.abs() < 1e-12, "{value}");
+        }
+    }
+
+    #[test]
+    fn frames_that_do_not_count_neither_shift_nor_tell() {
+        let gauge = Gauge::of(&views(), options_of(&Device::flex()));
+        let mut shifts: Vec<f64> = (0..18).map(|k| (0.7 * f64::from(k)).cos()).collect();
+        let mut counted = vec![1.0; 9];
+        counted[4] = 0.0;
+        let common = |shifts: &[f64]| {
+            values(gauge.common(tensor(shifts.to_vec(), 2), tensor(counted.clone(), 1)))
+        };
+        let before = common(&shifts);
+        assert_eq!(before[8..10], [0.0, 0.0]);
+        shifts[8] = 100.0;
+        assert_eq!(common(&shifts), before);
+        let none = gauge.common(tensor(shifts, 2), tensor(vec![0.0; 9], 1));
+        assert_eq!(values(none), vec![0.0; 18]);
+    }
+}
