@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
-use crate::motion::{moved, shift_in_image};
+use crate::motion::{moved, shift_in_image, turns};
 use crate::samples::Sample;
 
 /// Numbers of a rigid motion: a rotation vector (rad) and a translation (scene sizes), in the camera's axes.
@@ -116,13 +116,15 @@ impl Capture {
     pub fn bend(&mut self, shifts: Tensor<2>) {
         let degree = self.degree();
         assert!(degree > 1, "a straight path has no mean but its middle");
+        let num_frames = self.paths.dims()[0];
+        // The mean of s² is 1/12.
+        let powers: Vec<f64> = (1..=degree)
+            .map(|k| if k == 2 { 12.0 } else { 0.0 })
+            .collect();
         let options = (&self.paths.device(), self.paths.dtype());
-        // A turn of (-y, x) shifts by (x, y), and the mean of s² is 1/12.
-        let mut turns = vec![0.0; 2 * RIGID * degree];
-        turns[RIGID + 1] = 12.0;
-        turns[RIGID * degree + RIGID] = -12.0;
-        let turns = TensorData::new(turns, [2, RIGID * degree]);
-        self.paths = self.paths.clone() + shifts.matmul(Tensor::from_data(turns, options));
+        let powers = Tensor::<3>::from_data(TensorData::new(powers, [1, degree, 1]), options);
+        let bends = turns(shifts).reshape([num_frames, 1, RIGID]) * powers;
+        self.paths = self.paths.clone() + bends.reshape([num_frames, RIGID * degree]);
     }
 
     /// Length of a frame's path in the image at the depth S, px; `focal_px` is the focal length.

@@ -30,5 +30,5 @@ mod motion;
 mod samples;
 
 pub use capture::{Capture, RIGID};
-pub use motion::{moved, shift_in_image};
+pub use motion::{moved, shift_in_image, turns};
 pub use samples::{GOLDEN_ANGLE, Sample, samples, samples_for};

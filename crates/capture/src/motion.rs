@@ -35,6 +35,18 @@ pub fn shift_in_image(motions: Tensor<2>) -> Tensor<2> {
     motions.matmul(Tensor::from_data(rows, options))
 }
 
+/// Rigid motions [n, 6] of a camera that shift all that is ahead by so much, focal lengths (x, y), [n, 2]: turns.
+#[must_use]
+pub fn turns(shifts: Tensor<2>) -> Tensor<2> {
+    let options = (&shifts.device(), shifts.dtype());
+    // A turn of (-y, x) shifts by (x, y).
+    let rows = [
+        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+        [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ];
+    shifts.matmul(Tensor::from_data(rows, options))
+}
+
 /// Rotations [n, 3, 3] of rotation vectors [n, 3] (Rodrigues); the derivative at 0 is finite.
 pub(crate) fn rotations(vectors: Tensor<2>) -> Tensor<3> {
     let [n, _] = vectors.dims();

@@ -1,5 +1,6 @@
 //! What was given wrong of the training frames: where they were taken from, and how bright they are against each other.
 
+use crate::gauge::Gauge;
 use crate::look::{Look, Terms};
 use crate::parameter::{Group, Parameter};
 use crate::settings::Settings;
@@ -7,7 +8,7 @@ use crate::survey::Survey;
 use crate::tensors::{host, leaf};
 use crate::views::{CameraView, Views, pose_tensor, poses_of};
 use burn::tensor::{DType, Device, Tensor};
-use capture::{RIGID, moved, shift_in_image};
+use capture::{RIGID, moved, shift_in_image, turns};
 use glam::DAffine3;
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +18,8 @@ pub struct Corrections {
     /// Offsets from the given poses, [N, 6], in the camera's axes: rotation vectors (rad) and translations (S); `None` where
     /// the given poses hold.
     offsets: Option<Tensor<2>>,
+    /// What of their shifts is the scene's.
+    gauge: Option<Gauge>,
     /// Logarithms of the gains of the pictures' values, [N, 1]; `None` where frames are equally bright.
     gains: Option<Tensor<2>>,
     /// Weight of the offsets' shifts in the loss.
@@ -47,6 +50,7 @@ impl Corrections {
         let frames = &settings.frames;
         Self {
             offsets: frames.offsets.then(|| zeros(RIGID)),
+            gauge: frames.offsets.then(|| Gauge::of(&views.train, options)),
             gains: frames.gains.holds(survey.gains_differ).then(|| zeros(1)),
             shift_weight: settings.loss.offset_shift,
             scene_size: survey.scene_size,
@@ -91,12 +95,19 @@ impl Corrections {
         corrected[0]
     }
 
-    /// Takes the mean over all frames out, which is the scene's.
+    /// Takes out what all frames have in common, which is the scene's: the mean, and of offsets what they shift if the scene
+    /// lies elsewhere.
     pub(crate) fn hold(&mut self) {
         for (_, values) in self.parameters_mut() {
             let held = values.clone().inner();
             let mean = held.clone().mean_dim(0);
             *values = leaf(held - mean, true);
+        }
+        if let (Some(offsets), Some(gauge)) = (&mut self.offsets, &self.gauge) {
+            let held = offsets.clone().inner();
+            let all = held.clone().narrow(1, 0, 1).ones_like();
+            let common = gauge.common(shift_in_image(held.clone()), all);
+            *offsets = leaf(held - turns(common), true);
         }
     }
 

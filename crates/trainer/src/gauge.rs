@@ -27,7 +27,7 @@ impl Gauge {
         });
         let places = TensorData::new(places.collect::<Vec<f64>>(), [views.len(), 2]);
         Self {
-            places: Tensor::from_data(places, options),
+            places: Tensor::<2>::from_data(places, options).inner(),
         }
     }
 

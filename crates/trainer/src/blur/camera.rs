@@ -111,7 +111,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
-            gauge: Gauge::of(&views.train, (&device.clone().inner(), dtype)),
+            gauge: Gauge::of(&views.train, (device, dtype)),
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
             focal,
