@@ -65,6 +65,23 @@ fn frames_of_one_exposure_have_no_gains() {
     assert!(corrections.is_none(), "{corrections:?}");
 }
 
+#[test]
+fn three_frames_do_not_tell_brightness() {
+    let mut scene = sharp();
+    scene.frames.truncate(3);
+    scene.test.truncate(3);
+    scene.tracks = None;
+    for frame in &mut scene.frames[1..] {
+        for value in &mut frame.view.image.pixels {
+            *value *= 0.8;
+        }
+    }
+    let trainer = Trainer::new(scene, settings(200), &Device::flex()).expect("a trainer");
+    let survey = trainer.survey();
+    assert_eq!(survey.brightness_change, None);
+    assert!(!survey.gains_differ);
+}
+
 /// How far a pose lies off the true one of a frame, px at the wall.
 fn off_px(found: &DAffine3, frame: usize) -> [f64; 2] {
     let point = pose(frame as f64)
@@ -74,17 +91,23 @@ fn off_px(found: &DAffine3, frame: usize) -> [f64; 2] {
     [seen.x - camera().cx, seen.y - camera().cy]
 }
 
-/// Root mean square over the frames without what all have in common.
+/// Root mean square over the frames without what the scene can take up: what all have in common, and what grows with how far
+/// a frame's camera stands aside.
 fn spread(offs: &[[f64; 2]]) -> f64 {
-    let n = offs.len() as f64;
-    let axis = |axis: usize| {
-        let mean = offs.iter().map(|off| off[axis]).sum::<f64>() / n;
-        offs.iter()
-            .map(|off| (off[axis] - mean).powi(2))
-            .sum::<f64>()
-            / n
+    let centered = |values: &[[f64; 2]]| -> Vec<f64> {
+        let n = values.len() as f64;
+        let mean = [0, 1].map(|axis| values.iter().map(|v| v[axis]).sum::<f64>() / n);
+        let centered = values.iter().flat_map(|v| [v[0] - mean[0], v[1] - mean[1]]);
+        centered.collect()
     };
-    (axis(0) + axis(1)).sqrt()
+    let aside: Vec<[f64; 2]> = (0..FRAMES)
+        .map(|k| pose(k as f64).transform_point3(DVec3::ZERO))
+        .map(|place| [place.x, place.y])
+        .collect();
+    let (offs, aside) = (centered(offs), centered(&aside));
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let rest = dot(&offs, &offs) - dot(&offs, &aside).powi(2) / dot(&aside, &aside);
+    (rest / FRAMES as f64).sqrt()
 }
 
 #[test]

@@ -25,7 +25,7 @@ pub(crate) fn brightness_change(frames: &[Frame]) -> Option<f64> {
         let changes: Vec<f64> = pairs.filter_map(|(a, b)| pair_change(a, b)).collect();
         (changes.len() >= 3).then(|| median(&changes))
     };
-    let apart = [1, frames.len() / 4];
+    let apart = [1, (frames.len() / 4).max(1)];
     apart.into_iter().filter_map(change).max_by(f64::total_cmp)
 }
 

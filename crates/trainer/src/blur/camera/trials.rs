@@ -134,6 +134,9 @@ impl CameraBlur {
         let parts: [Part; 2] = [|c| &mut c.aperture, |c| &mut c.paths];
         for part in parts {
             let own = part(&mut self.capture).clone();
+            if host(own.clone()).iter().all(|value| *value == 0.0) {
+                continue;
+            }
             *part(&mut self.capture) = own.zeros_like();
             let without = self.errors(world, looks)?;
             if total(&without) > (1.0 + PART_PAYS) * total(&now) {
