@@ -1,5 +1,7 @@
 //! What was given wrong of the frames is found: poses that are off, and gains of an automatic exposure.
 
+use burn::tensor::DType;
+use capture::{Capture, shift_in_image};
 use glam::{DAffine3, DQuat, DVec3};
 use io::Scene;
 use limpid_tests::tiny::{self, FRAMES, camera, pose};
@@ -91,23 +93,67 @@ fn off_px(found: &DAffine3, frame: usize) -> [f64; 2] {
     [seen.x - camera().cx, seen.y - camera().cy]
 }
 
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// The values of all frames without their mean, one after the other.
+fn centered(values: &[[f64; 2]]) -> Vec<f64> {
+    let n = values.len() as f64;
+    let mean = [0, 1].map(|axis| values.iter().map(|v| v[axis]).sum::<f64>() / n);
+    let centered = values.iter().flat_map(|v| [v[0] - mean[0], v[1] - mean[1]]);
+    centered.collect()
+}
+
+/// How far the frames' cameras stand aside, in their own axes.
+fn aside() -> Vec<f64> {
+    let places = (0..FRAMES).map(|k| pose(k as f64).transform_point3(DVec3::ZERO));
+    centered(&places.map(|place| [place.x, place.y]).collect::<Vec<_>>())
+}
+
 /// Root mean square over the frames without what the scene can take up: what all have in common, and what grows with how far
 /// a frame's camera stands aside.
 fn spread(offs: &[[f64; 2]]) -> f64 {
-    let centered = |values: &[[f64; 2]]| -> Vec<f64> {
-        let n = values.len() as f64;
-        let mean = [0, 1].map(|axis| values.iter().map(|v| v[axis]).sum::<f64>() / n);
-        let centered = values.iter().flat_map(|v| [v[0] - mean[0], v[1] - mean[1]]);
-        centered.collect()
-    };
-    let aside: Vec<[f64; 2]> = (0..FRAMES)
-        .map(|k| pose(k as f64).transform_point3(DVec3::ZERO))
-        .map(|place| [place.x, place.y])
-        .collect();
-    let (offs, aside) = (centered(offs), centered(&aside));
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let (offs, aside) = (centered(offs), aside());
     let rest = dot(&offs, &offs) - dot(&offs, &aside).powi(2) / dot(&aside, &aside);
     (rest / FRAMES as f64).sqrt()
+}
+
+#[test]
+fn what_the_scene_can_take_up_is_left_to_it() {
+    let mut settings = tiny::settings();
+    settings.blur.model = BlurKind::Camera;
+    let mut trainer = Trainer::new(tiny::scene(), settings, &Device::flex()).expect("a trainer");
+    // The camera has been learned for a while, and no trial has left a part of it out.
+    while trainer.iteration() < 75 {
+        trainer.step().expect("a step");
+    }
+    let table = |name: &str| {
+        let parameters = trainer.model().parameters();
+        let found = parameters.into_iter().find(|(p, _)| p.name == name);
+        found.expect(name).1.detach()
+    };
+    let mut capture = Capture::still(FRAMES, 2, (&Device::flex().autodiff(), DType::F32));
+    capture.paths = table("camera.paths");
+    for (what, shifts) in [
+        ("paths", capture.mean_shifts()),
+        ("offsets", shift_in_image(table("frames.offsets"))),
+    ] {
+        let shifts: Vec<[f64; 2]> = limpid_tests::values(shifts)
+            .chunks_exact(2)
+            .map(|shift| [shift[0], shift[1]])
+            .collect();
+        assert!(spread(&shifts) > 1e-5, "{what} have learned: {shifts:?}");
+        let all = shifts.concat();
+        let sums = [0, 1].map(|axis| shifts.iter().map(|shift| shift[axis]).sum::<f64>());
+        let trend = dot(&all, &aside());
+        let limit = 1e-6 * dot(&all, &all).sqrt();
+        assert!(
+            sums.into_iter().all(|sum| sum.abs() < limit),
+            "{what}: {sums:?}"
+        );
+        assert!(trend.abs() < limit, "{what}: {trend}");
+    }
 }
 
 #[test]
