@@ -1,8 +1,8 @@
 //! What was given wrong of the training frames: where they were taken from, and how bright they are against each other.
 
-use crate::gauge::Gauge;
 use crate::look::{Look, Terms};
 use crate::parameter::{Group, Parameter};
+use crate::scene_shift::SceneShift;
 use crate::settings::Settings;
 use crate::survey::Survey;
 use crate::tensors::{host, leaf};
@@ -19,7 +19,7 @@ pub struct Corrections {
     /// the given poses hold.
     offsets: Option<Tensor<2>>,
     /// What of their shifts is the scene's.
-    gauge: Option<Gauge>,
+    scene_shift: Option<SceneShift>,
     /// Logarithms of the gains of the pictures' values, [N, 1]; `None` where frames are equally bright.
     gains: Option<Tensor<2>>,
     /// Weight of the offsets' shifts in the loss.
@@ -50,7 +50,9 @@ impl Corrections {
         let frames = &settings.frames;
         Self {
             offsets: frames.offsets.then(|| zeros(RIGID)),
-            gauge: frames.offsets.then(|| Gauge::of(&views.train, options)),
+            scene_shift: frames
+                .offsets
+                .then(|| SceneShift::of(&views.train, options)),
             gains: frames.gains.holds(survey.gains_differ).then(|| zeros(1)),
             shift_weight: settings.loss.offset_shift,
             scene_size: survey.scene_size,
@@ -103,10 +105,10 @@ impl Corrections {
             let mean = held.clone().mean_dim(0);
             *values = leaf(held - mean, true);
         }
-        if let (Some(offsets), Some(gauge)) = (&mut self.offsets, &self.gauge) {
+        if let (Some(offsets), Some(scene_shift)) = (&mut self.offsets, &self.scene_shift) {
             let held = offsets.clone().inner();
             let all = held.clone().narrow(1, 0, 1).ones_like();
-            let common = gauge.common(shift_in_image(held.clone()), all);
+            let common = scene_shift.common(shift_in_image(held.clone()), all);
             *offsets = leaf(held - turns(common), true);
         }
     }

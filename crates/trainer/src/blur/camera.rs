@@ -8,9 +8,9 @@ mod trials;
 pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 
 use crate::TrainError;
-use crate::gauge::Gauge;
 use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
+use crate::scene_shift::SceneShift;
 use crate::settings::{CameraSettings, Settings};
 use crate::survey::Survey;
 use crate::tensors::{constant, host, leaf};
@@ -35,7 +35,7 @@ const VISITS: usize = 5;
 #[derive(Clone, Debug)]
 pub struct CameraBlur {
     capture: Capture,
-    gauge: Gauge,
+    scene_shift: SceneShift,
     settings: CameraSettings,
     moments: Moments,
     /// Focal length of each frame, px.
@@ -111,7 +111,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
-            gauge: Gauge::of(&views.train, (device, dtype)),
+            scene_shift: SceneShift::of(&views.train, (device, dtype)),
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
             focal,
@@ -266,7 +266,7 @@ impl CameraBlur {
             .greater_scalar(0.0)
             .float()
             .cast(held.paths.dtype());
-        let common = self.gauge.common(held.mean_shifts(), moving);
+        let common = self.scene_shift.common(held.mean_shifts(), moving);
         held.bend(-common);
         self.capture.paths = leaf(held.paths, true);
     }

@@ -8,12 +8,12 @@ use splat_core::camera_center;
 /// The shifts that N frames show if the scene lies elsewhere. Either all shift alike, or each by how far its camera stands
 /// aside, as they do if every point is nearer by the same disparity.
 #[derive(Clone, Debug)]
-pub(crate) struct Gauge {
+pub(crate) struct SceneShift {
     /// Where the cameras stand, right and down in their own axes, away from their mean; scene units: [N, 2].
     places: Tensor<2>,
 }
 
-impl Gauge {
+impl SceneShift {
     /// Of frames that were seen so.
     pub(crate) fn of(views: &[CameraView], options: (&Device, DType)) -> Self {
         let centers: Vec<DVec3> = views
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn a_scene_that_lies_elsewhere_is_all_that_is_common_and_nothing_is_left_of_it() {
         let views = views();
-        let gauge = Gauge::of(&views, options_of(&Device::flex()));
+        let scene_shift = SceneShift::of(&views, options_of(&Device::flex()));
         let centers = views.iter().map(|v| camera_center(&v.cam_from_world));
         let mean = centers.sum::<DVec3>() / views.len() as f64;
         // Points ahead, seen alike from the mean place and nearer by a disparity: they shift in a frame by how far it stands aside.
@@ -104,34 +104,34 @@ mod tests {
         });
         let shifts = shifts.collect::<Vec<f64>>();
         let counted = tensor(vec![1.0; views.len()], 1);
-        let common = values(gauge.common(tensor(shifts.clone(), 2), counted.clone()));
+        let common = values(scene_shift.common(tensor(shifts.clone(), 2), counted.clone()));
         for (common, shift) in common.iter().zip(&shifts) {
             assert!((common - shift).abs() < 1e-12, "{common} {shift}");
         }
 
         // Of any shifts, what is not common has nothing in common.
         let any: Vec<f64> = (0..18).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
-        let common = gauge.common(tensor(any.clone(), 2), counted.clone());
+        let common = scene_shift.common(tensor(any.clone(), 2), counted.clone());
         let rest = tensor(any, 2) - common;
-        for value in values(gauge.common(rest, counted)) {
+        for value in values(scene_shift.common(rest, counted)) {
             assert!(value.abs() < 1e-12, "{value}");
         }
     }
 
     #[test]
     fn frames_that_do_not_count_neither_shift_nor_tell() {
-        let gauge = Gauge::of(&views(), options_of(&Device::flex()));
+        let scene_shift = SceneShift::of(&views(), options_of(&Device::flex()));
         let mut shifts: Vec<f64> = (0..18).map(|k| (0.7 * f64::from(k)).cos()).collect();
         let mut counted = vec![1.0; 9];
         counted[4] = 0.0;
         let common = |shifts: &[f64]| {
-            values(gauge.common(tensor(shifts.to_vec(), 2), tensor(counted.clone(), 1)))
+            values(scene_shift.common(tensor(shifts.to_vec(), 2), tensor(counted.clone(), 1)))
         };
         let before = common(&shifts);
         assert_eq!(before[8..10], [0.0, 0.0]);
         shifts[8] = 100.0;
         assert_eq!(common(&shifts), before);
-        let none = gauge.common(tensor(shifts, 2), tensor(vec![0.0; 9], 1));
+        let none = scene_shift.common(tensor(shifts, 2), tensor(vec![0.0; 9], 1));
         assert_eq!(values(none), vec![0.0; 18]);
     }
 }
