@@ -59,6 +59,7 @@ fn processes_threads_and_reloading_change_no_bit() {
         let (blur, reload_at) = run.split_once(' ').expect("a model and a number");
         let blur = match blur {
             "kernels" => BlurKind::Kernels,
+            "both" => BlurKind::Both,
             _ => BlurKind::Camera,
         };
         let text = train(blur, reload_at.parse().expect("a number"));
@@ -86,10 +87,11 @@ fn processes_threads_and_reloading_change_no_bit() {
             .0
             .to_owned()
     };
-    for blur in ["kernels", "camera"] {
+    // With both, kernels come in after the last trial, at iteration 170.
+    for (blur, middle) in [("kernels", "110"), ("camera", "110"), ("both", "185")] {
         let one = run(blur, "1", "0");
         assert_eq!(one, run(blur, "2", "0"), "{blur}: one and two threads");
-        let saved = run(blur, "2", "110");
+        let saved = run(blur, "2", middle);
         assert_eq!(one, saved, "{blur}: saved and loaded in the middle");
     }
 }

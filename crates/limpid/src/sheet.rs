@@ -21,6 +21,10 @@ pub(crate) fn row(blurry: Option<&Image>, view: &TrainingView) -> Option<Image> 
     match view.blur.as_ref()? {
         ViewBlur::Kernels(kernels) => Some(kernel_row(blurry, &view.sharp, kernels)),
         ViewBlur::Camera(camera) => Some(camera_row(blurry, &view.sharp, camera)),
+        ViewBlur::Both(camera, kernels) => stack(&[
+            camera_row(blurry, &view.sharp, camera),
+            kernel_row(None, &view.sharp, kernels),
+        ]),
     }
 }
 

@@ -76,6 +76,8 @@ enum Blur {
     Kernels,
     /// The camera's path and lens.
     Camera,
+    /// The camera, and kernels for what it leaves.
+    Both,
 }
 
 impl Blur {
@@ -86,6 +88,7 @@ impl Blur {
             Self::Off => "off",
             Self::Kernels => "kernels",
             Self::On | Self::Camera => "camera",
+            Self::Both => "both",
         };
         Value::String(name.to_owned())
     }

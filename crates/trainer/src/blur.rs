@@ -3,10 +3,12 @@
 //! A variant owns everything about itself: its parameters, the settings it was made from, its moments in the run and
 //! its terms of the loss. [`BlurModel::show`] is the one way in, for training, scores, gradient checks and pictures alike.
 
+mod both;
 pub(crate) mod camera;
 mod gauge;
 pub(crate) mod kernels;
 
+pub use both::Both;
 pub use camera::{CameraBlur, CameraFigures, CameraFrame, Spot, TakenView};
 pub use kernels::{KernelFigures, KernelView, Kernels};
 
@@ -32,6 +34,8 @@ pub enum BlurModel {
     Kernels(Box<Kernels>),
     /// Ours: what the camera did while it took the frame.
     Camera(Box<CameraBlur>),
+    /// The paper's over ours.
+    Both(Box<Both>),
 }
 
 /// What a variant keeps of a view that it showed.
@@ -41,6 +45,8 @@ pub(crate) enum Trace {
     Kernels(Box<KernelTrace>),
     /// What the camera did.
     Camera(camera::CameraTrace),
+    /// Both of them.
+    Both(camera::CameraTrace, Box<KernelTrace>),
 }
 
 /// What a model shows of a view.
@@ -59,12 +65,16 @@ impl BlurModel {
             BlurKind::Off => Self::Off,
             BlurKind::Auto if !survey.blurred => Self::Off,
             BlurKind::Kernels => {
-                let kernels = Kernels::new(settings, size, views, options)?;
+                let kernels = Kernels::new(settings, size, views, 0, options)?;
                 Self::Kernels(Box::new(kernels))
             }
             BlurKind::Auto | BlurKind::Camera => {
                 let camera = CameraBlur::new(settings, survey, views, options);
                 Self::Camera(Box::new(camera))
+            }
+            BlurKind::Both => {
+                let both = Both::new(settings, survey, views, options)?;
+                Self::Both(Box::new(both))
             }
         })
     }
@@ -75,6 +85,7 @@ impl BlurModel {
             Self::Off => Vec::new(),
             Self::Kernels(kernels) => kernels.moments().to_vec(),
             Self::Camera(camera) => camera.moments(),
+            Self::Both(both) => both.moments(),
         }
     }
 
@@ -84,6 +95,7 @@ impl BlurModel {
             Self::Off => false,
             Self::Kernels(kernels) => kernels.is_on(it),
             Self::Camera(camera) => camera.is_on(it),
+            Self::Both(both) => both.camera.is_on(it),
         }
     }
 
@@ -96,17 +108,18 @@ impl BlurModel {
         look: &Look<'_>,
         fixed: Option<&Shown>,
     ) -> Result<Shown, TrainError> {
+        let fixed = fixed.map(|fixed| {
+            let trace = fixed.trace.as_ref().and_then(Trace::kernels);
+            (&fixed.rendered, trace)
+        });
         match self {
             Self::Off => Ok(Shown::sharp(render_sharp(world, look)?)),
             Self::Kernels(kernels) => {
-                let fixed = fixed.map(|fixed| {
-                    let trace = fixed.trace.as_ref().and_then(Trace::kernels);
-                    (&fixed.rendered, trace)
-                });
                 let shown = kernels.show(world, look, fixed)?;
                 Ok(shown.map(|trace| Trace::Kernels(Box::new(trace))))
             }
             Self::Camera(camera) => Ok(camera.show(world, look)?.map(Trace::Camera)),
+            Self::Both(both) => both.show(world, look, fixed),
         }
     }
 
@@ -121,6 +134,7 @@ impl BlurModel {
         match self {
             Self::Off | Self::Kernels(_) => None,
             Self::Camera(camera) => Some(camera.taken(frame, middle, moments)),
+            Self::Both(both) => Some(both.camera.taken(frame, middle, moments)),
         }
     }
 
@@ -128,7 +142,8 @@ impl BlurModel {
     pub(crate) fn learned(&mut self, frame: usize, trace: Trace) {
         match (self, trace) {
             (Self::Kernels(kernels), Trace::Kernels(trace)) => kernels.learned(frame, *trace),
-            (Self::Off | Self::Kernels(_) | Self::Camera(_), _) => {}
+            (Self::Both(both), Trace::Both(_, trace)) => both.kernels.learned(frame, *trace),
+            (Self::Off | Self::Kernels(_) | Self::Camera(_) | Self::Both(_), _) => {}
         }
     }
 
@@ -137,6 +152,7 @@ impl BlurModel {
         match self {
             Self::Off | Self::Kernels(_) => {}
             Self::Camera(camera) => camera.hold(it),
+            Self::Both(both) => both.camera.hold(it),
         }
     }
 
@@ -145,6 +161,7 @@ impl BlurModel {
         match self {
             Self::Off | Self::Kernels(_) => false,
             Self::Camera(camera) => camera.revises(it),
+            Self::Both(both) => both.camera.revises(it),
         }
     }
 
@@ -155,31 +172,27 @@ impl BlurModel {
         world: &World,
         looks: &[Look<'_>],
     ) -> Result<Vec<(Parameter, Vec<usize>)>, TrainError> {
-        match self {
-            Self::Off | Self::Kernels(_) => Ok(Vec::new()),
-            Self::Camera(camera) => {
-                let rows = camera.revise(world, looks)?;
-                let paths = Parameter::new("camera.paths", Group::CameraPath);
-                Ok(vec![(paths, rows)])
-            }
-        }
+        let camera = match self {
+            Self::Off | Self::Kernels(_) => return Ok(Vec::new()),
+            Self::Camera(camera) => camera,
+            Self::Both(both) => &mut both.camera,
+        };
+        let rows = camera.revise(world, looks)?;
+        let paths = Parameter::new("camera.paths", Group::CameraPath);
+        Ok(vec![(paths, rows)])
     }
 
     /// All parameters, to be replaced.
     pub(crate) fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
         match self {
             Self::Off => Vec::new(),
-            Self::Kernels(kernels) => kernels
-                .parameters_mut()
-                .into_iter()
-                .map(|(name, tensor)| {
-                    (
-                        Parameter::new(format!("blur.{name}"), Group::BlurNet),
-                        tensor,
-                    )
-                })
-                .collect(),
+            Self::Kernels(kernels) => kernels.parameters_mut(),
             Self::Camera(camera) => camera.parameters_mut(),
+            Self::Both(both) => {
+                let mut all = both.camera.parameters_mut();
+                all.extend(both.kernels.parameters_mut());
+                all
+            }
         }
     }
 
@@ -188,6 +201,7 @@ impl BlurModel {
         match self {
             Self::Off | Self::Camera(_) => Vec::new(),
             Self::Kernels(kernels) => vec![kernels.table(device)],
+            Self::Both(both) => vec![both.kernels.table(device)],
         }
     }
 
@@ -199,6 +213,7 @@ impl BlurModel {
         match self {
             Self::Off | Self::Camera(_) => Ok(()),
             Self::Kernels(kernels) => kernels.restore(&mut read),
+            Self::Both(both) => both.kernels.restore(&mut read),
         }
     }
 }
@@ -206,7 +221,7 @@ impl BlurModel {
 impl Trace {
     fn kernels(&self) -> Option<&KernelTrace> {
         match self {
-            Self::Kernels(trace) => Some(trace),
+            Self::Kernels(trace) | Self::Both(_, trace) => Some(trace),
             Self::Camera(_) => None,
         }
     }
@@ -216,6 +231,15 @@ impl Trace {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum BlurFigures {
+    /// Of [`BlurModel::Both`].
+    Both {
+        /// What the camera did.
+        #[serde(flatten)]
+        camera: CameraFigures,
+        /// What is left to kernels.
+        #[serde(flatten)]
+        kernels: KernelFigures,
+    },
     /// Of [`BlurModel::Kernels`].
     Kernels(KernelFigures),
     /// Of [`BlurModel::Camera`].
@@ -225,6 +249,7 @@ pub enum BlurFigures {
 impl fmt::Display for BlurFigures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Both { camera, kernels } => write!(f, "{camera}; {kernels}"),
             Self::Kernels(figures) => figures.fmt(f),
             Self::Camera(figures) => figures.fmt(f),
         }
@@ -238,6 +263,8 @@ pub enum ViewBlur {
     Kernels(KernelView),
     /// By what the camera did.
     Camera(TakenView),
+    /// By what the camera did, and then by kernels.
+    Both(TakenView, KernelView),
 }
 
 impl From<Trace> for ViewBlur {
@@ -245,6 +272,7 @@ impl From<Trace> for ViewBlur {
         match trace {
             Trace::Kernels(trace) => Self::Kernels(trace.view()),
             Trace::Camera(trace) => Self::Camera(trace.view),
+            Trace::Both(camera, kernels) => Self::Both(camera.view, kernels.view()),
         }
     }
 }
@@ -259,19 +287,28 @@ pub(crate) struct FigureSums {
 impl FigureSums {
     /// Adds a view whose picture, as the model has it, agrees with the frame to `psnr` dB.
     pub(crate) fn add(&mut self, view: &ViewBlur, psnr: f64) {
-        match view {
-            ViewBlur::Kernels(view) => self.kernels.add(view),
-            ViewBlur::Camera(view) => {
-                let mut view = view.clone();
-                view.frame.psnr = Some(psnr);
-                self.camera.push(view);
-            }
+        let (camera, kernels) = match view {
+            ViewBlur::Kernels(kernels) => (None, Some(kernels)),
+            ViewBlur::Camera(camera) => (Some(camera), None),
+            ViewBlur::Both(camera, kernels) => (Some(camera), Some(kernels)),
+        };
+        if let Some(kernels) = kernels {
+            self.kernels.add(kernels);
+        }
+        if let Some(camera) = camera {
+            let mut view = camera.clone();
+            view.frame.psnr = Some(psnr);
+            self.camera.push(view);
         }
     }
 
     /// Of all views; `None` where no view was blurred.
     pub(crate) fn figures(self) -> Option<BlurFigures> {
-        let kernels = self.kernels.means().map(BlurFigures::Kernels);
-        kernels.or_else(|| CameraFigures::of(&self.camera).map(BlurFigures::Camera))
+        match (CameraFigures::of(&self.camera), self.kernels.means()) {
+            (Some(camera), Some(kernels)) => Some(BlurFigures::Both { camera, kernels }),
+            (None, Some(kernels)) => Some(BlurFigures::Kernels(kernels)),
+            (Some(camera), None) => Some(BlurFigures::Camera(camera)),
+            (None, None) => None,
+        }
     }
 }

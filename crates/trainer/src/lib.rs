@@ -72,8 +72,8 @@ mod views;
 mod world;
 
 pub use blur::{
-    BlurFigures, BlurModel, CameraBlur, CameraFigures, CameraFrame, KernelFigures, KernelView,
-    Kernels, Spot, TakenView, ViewBlur,
+    BlurFigures, BlurModel, Both, CameraBlur, CameraFigures, CameraFrame, KernelFigures,
+    KernelView, Kernels, Spot, TakenView, ViewBlur,
 };
 pub use burn::tensor::Device;
 pub use checkpoint::FILE_NAME as CHECKPOINT_FILE;

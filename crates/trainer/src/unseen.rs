@@ -21,7 +21,7 @@ pub(crate) fn unseen_views(
     blur: &BlurModel,
     scene_size: f64,
 ) -> Result<Vec<UnseenView>, TrainError> {
-    let required = !matches!(blur, BlurModel::Camera(_));
+    let required = !matches!(blur, BlurModel::Camera(_) | BlurModel::Both(_));
     if !settings.unseen.when.holds(required) {
         return Ok(Vec::new());
     }

@@ -129,6 +129,15 @@ impl CameraBlur {
         it > self.moments.from
     }
 
+    /// The iteration after which trials leave it alone.
+    pub(super) fn settled(&self) -> usize {
+        self.moments
+            .trials
+            .last()
+            .copied()
+            .unwrap_or(self.moments.from)
+    }
+
     pub(super) fn moments(&self) -> Vec<usize> {
         let mut all = vec![self.moments.from];
         all.extend(&self.moments.trials);

@@ -4,6 +4,7 @@ use super::gauge::Gauge;
 use crate::TrainError;
 use crate::look::{Look, Shown, Terms, render_sharp};
 use crate::losses;
+use crate::parameter::{Group, Parameter};
 use crate::random::{Purpose, derived_seed};
 use crate::schedule::scaled_moment;
 use crate::settings::Settings;
@@ -56,10 +57,11 @@ struct Moments {
 }
 
 impl Moments {
-    fn new(settings: &Settings) -> Self {
+    /// Of a run in which blur is modelled so not before `earliest`.
+    fn new(settings: &Settings, earliest: usize) -> Self {
         let n = settings.iterations;
         let at = |moment| scaled_moment(moment, n);
-        let from = at(settings.blur.from).max(250.min(n / 4));
+        let from = at(settings.blur.from).max(250.min(n / 4)).max(earliest);
         Self {
             from,
             step_from: from.saturating_add(settings.blur.hold.min(n / 8)),
@@ -80,10 +82,12 @@ pub(crate) struct KernelTrace {
 }
 
 impl Kernels {
+    /// Kernels that begin after the iteration `earliest`, or where the settings say, whichever is later.
     pub(super) fn new(
         settings: &Settings,
         scene_size: f64,
         views: &Views,
+        earliest: usize,
         (device, dtype): (&Device, DType),
     ) -> Result<Self, TrainError> {
         let (blur, loss) = (&settings.blur, &settings.loss);
@@ -109,7 +113,7 @@ impl Kernels {
                 gauge: loss.gauge,
                 downsample: loss.downsample,
             },
-            moments: Moments::new(settings),
+            moments: Moments::new(settings, earliest),
             extractor: if blur.train_extractor {
                 Extractor::Trained
             } else {
@@ -129,22 +133,36 @@ impl Kernels {
         [m.from, m.step_from, m.kernel_center_from, m.downsample_from]
     }
 
-    /// `fixed` is what the gradient stops at, where that is not what is shown: BP-Net's inputs and the intensity
-    /// that L_spa pulls kernels to.
+    /// See [`super::BlurModel::show`].
     pub(super) fn show(
         &self,
         world: &World,
         look: &Look<'_>,
         fixed: Option<(&Rendered, Option<&KernelTrace>)>,
     ) -> Result<Shown<KernelTrace>, TrainError> {
-        let rendered = render_sharp(world, look)?;
+        let (mut shown, trace) =
+            self.over(Shown::sharp(render_sharp(world, look)?), look, fixed)?;
+        shown.trace = trace;
+        Ok(shown)
+    }
+
+    /// Blurs what is shown, and adds its own terms. Kernels are predicted from the sharp render.
+    ///
+    /// `fixed` is what the gradient stops at, where that is not what is shown: BP-Net's inputs and the intensity
+    /// that L_spa pulls kernels to.
+    pub(super) fn over<T>(
+        &self,
+        mut shown: Shown<T>,
+        look: &Look<'_>,
+        fixed: Option<(&Rendered, Option<&KernelTrace>)>,
+    ) -> Result<(Shown<T>, Option<KernelTrace>), TrainError> {
         let Some(frame) = look.frame.filter(|_| self.is_on(look.iteration)) else {
-            return Ok(Shown::sharp(rendered));
+            return Ok((shown, None));
         };
-        let sees = fixed.map_or(&rendered, |(rendered, _)| rendered);
+        let sees = fixed.map_or(&shown.rendered, |(rendered, _)| rendered);
         let field =
             trace_span!("blur field").in_scope(|| self.field(frame, sees, look.iteration))?;
-        let composite = composite(rendered.color(), &field)?;
+        let composite = composite(shown.seen, &field)?;
         let fixed_intensity = fixed.and_then(|(_, trace)| trace).map_or_else(
             || composite.intensity(),
             |trace| trace.composite.intensity(),
@@ -154,14 +172,10 @@ impl Kernels {
             composite,
             shifts: None,
         };
-        let terms = self.terms(look, &rendered, &mut trace, fixed_intensity);
-        Ok(Shown {
-            seen: trace.composite.picture(),
-            radii: rendered.radii(),
-            rendered,
-            terms,
-            trace: Some(trace),
-        })
+        let terms = self.terms(look, &shown.rendered, &mut trace, fixed_intensity);
+        shown.terms.0.extend(terms.0);
+        shown.seen = trace.composite.picture();
+        Ok((shown, Some(trace)))
     }
 
     /// Kernel and intensity of every pixel. During the hold no graph is recorded.
@@ -241,8 +255,15 @@ impl Kernels {
         }
     }
 
-    pub(super) fn parameters_mut(&mut self) -> Vec<(&'static str, &mut Tensor<2>)> {
-        self.net.parameters_mut()
+    pub(super) fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
+        let parameters = self.net.parameters_mut().into_iter();
+        let named = parameters.map(|(name, tensor)| {
+            (
+                Parameter::new(format!("blur.{name}"), Group::BlurNet),
+                tensor,
+            )
+        });
+        named.collect()
     }
 
     pub(super) fn table(&self, device: &Device) -> (&'static str, Tensor<2>) {
@@ -347,7 +368,7 @@ mod tests {
             iterations: n,
             ..Settings::default()
         };
-        let m = Moments::new(&settings);
+        let m = Moments::new(&settings, 0);
         [m.from, m.step_from, m.kernel_center_from, m.downsample_from]
     }
 
@@ -379,7 +400,7 @@ mod tests {
         let mut settings = Settings::default();
         settings.blur.from = usize::MAX;
         settings.loss.downsample_after = usize::MAX;
-        let m = Moments::new(&settings);
+        let m = Moments::new(&settings, 0);
         let all = [m.from, m.step_from, m.kernel_center_from, m.downsample_from];
         assert!(
             all.iter().all(|&moment| moment >= settings.iterations),

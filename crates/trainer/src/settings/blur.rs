@@ -15,6 +15,8 @@ pub enum BlurKind {
     Kernels,
     /// The camera itself: its path while the shutter is open, and its lens.
     Camera,
+    /// The camera, and kernels for what it leaves.
+    Both,
 }
 
 /// The blur model; all but the first are those of BP-Net.

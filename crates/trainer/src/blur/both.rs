@@ -1,0 +1,55 @@
+//! Kernels on top of the camera: what path and lens do not explain of the blur.
+
+use super::Trace;
+use super::camera::CameraBlur;
+use super::kernels::{KernelTrace, Kernels};
+use crate::TrainError;
+use crate::look::{Look, Shown};
+use crate::settings::Settings;
+use crate::survey::Survey;
+use crate::views::Views;
+use crate::world::World;
+use burn::tensor::{DType, Device};
+use splat_core::Rendered;
+
+/// The camera, and over what it saw, once trials leave it alone and half of the run is over, BP-Net's kernels.
+#[derive(Clone, Debug)]
+pub struct Both {
+    pub(super) camera: CameraBlur,
+    pub(super) kernels: Kernels,
+}
+
+impl Both {
+    pub(super) fn new(
+        settings: &Settings,
+        survey: &Survey,
+        views: &Views,
+        options: (&Device, DType),
+    ) -> Result<Self, TrainError> {
+        let camera = CameraBlur::new(settings, survey, views, options);
+        let from = camera.settled().max(settings.iterations / 2);
+        let kernels = Kernels::new(settings, survey.scene_size, views, from, options)?;
+        Ok(Self { camera, kernels })
+    }
+
+    pub(super) fn moments(&self) -> Vec<usize> {
+        let mut all = self.camera.moments();
+        all.extend(self.kernels.moments());
+        all
+    }
+
+    /// See [`super::BlurModel::show`] and [`Kernels::over`].
+    pub(super) fn show(
+        &self,
+        world: &World,
+        look: &Look<'_>,
+        fixed: Option<(&Rendered, Option<&KernelTrace>)>,
+    ) -> Result<Shown<Trace>, TrainError> {
+        let shown = self.camera.show(world, look)?;
+        let (shown, over) = self.kernels.over(shown, look, fixed)?;
+        Ok(shown.map(|camera| match over {
+            Some(kernels) => Trace::Both(camera, Box::new(kernels)),
+            None => Trace::Camera(camera),
+        }))
+    }
+}
