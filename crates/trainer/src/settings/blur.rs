@@ -27,7 +27,8 @@ pub struct BlurSettings {
     pub model: BlurKind,
     /// Side K of the blur kernels, odd, 1 to 15.
     pub kernel_size: usize,
-    /// Blur starts after this iteration (of 40,000), never before `min(250, n / 4)`.
+    /// Kernels start after this iteration (of 40,000), never before `min(250, n / 4)`; on top of the camera not before half of
+    /// the run.
     pub from: usize,
     /// For `min(hold, n / 8)` iterations from its start on the blur model is applied but not stepped; 0 for no hold.
     pub hold: usize,
