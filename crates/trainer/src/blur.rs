@@ -119,7 +119,13 @@ impl BlurModel {
                 Ok(shown.map(|trace| Trace::Kernels(Box::new(trace))))
             }
             Self::Camera(camera) => Ok(camera.show(world, look)?.map(Trace::Camera)),
-            Self::Both(both) => both.show(world, look, fixed),
+            Self::Both(both) => {
+                let shown = both.show(world, look, fixed)?;
+                Ok(shown.map(|(camera, over)| match over {
+                    Some(kernels) => Trace::Both(camera, Box::new(kernels)),
+                    None => Trace::Camera(camera),
+                }))
+            }
         }
     }
 

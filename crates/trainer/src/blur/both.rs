@@ -1,7 +1,6 @@
 //! Kernels on top of the camera: what path and lens do not explain of the blur.
 
-use super::Trace;
-use super::camera::CameraBlur;
+use super::camera::{CameraBlur, CameraTrace};
 use super::kernels::{KernelTrace, Kernels};
 use crate::TrainError;
 use crate::look::{Look, Shown};
@@ -44,12 +43,9 @@ impl Both {
         world: &World,
         look: &Look<'_>,
         fixed: Option<(&Rendered, Option<&KernelTrace>)>,
-    ) -> Result<Shown<Trace>, TrainError> {
+    ) -> Result<Shown<(CameraTrace, Option<KernelTrace>)>, TrainError> {
         let shown = self.camera.show(world, look)?;
         let (shown, over) = self.kernels.over(shown, look, fixed)?;
-        Ok(shown.map(|camera| match over {
-            Some(kernels) => Trace::Both(camera, Box::new(kernels)),
-            None => Trace::Camera(camera),
-        }))
+        Ok(shown.map(|camera| (camera, over)))
     }
 }
