@@ -158,11 +158,15 @@ fn check(model: BlurKind, own_terms: &[&str], iteration: usize) {
                     1e-7
                 },
             };
-            let report = directional_report(&gradient, 4, limits.step, seed as u64, |moved| {
-                values(sum(loss(&in_f64(&start, &group, moved))))[0]
+            // A threshold that a step does meet spoils its difference; a wrong gradient is wrong with any step.
+            let holds = [limits.step, limits.step / 100.0].into_iter().any(|step| {
+                let report = directional_report(&gradient, 4, step, seed as u64, |moved| {
+                    values(sum(loss(&in_f64(&start, &group, moved))))[0]
+                });
+                eprintln!("{name}: {group}, step {step:e}: {report}");
+                report.within(&limits)
             });
-            eprintln!("{name}: {group}: {report}");
-            assert!(report.within(&limits), "{name}: {group}: {report}");
+            assert!(holds, "{name}: {group}: the gradient is wrong, see above");
         }
     }
 }
