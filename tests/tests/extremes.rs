@@ -159,9 +159,8 @@ fn a_poisoned_motion_stays_in_its_rows_for_the_renderer_to_refuse() {
                 transls: t(1, [b, n * 3]),
                 num_frames: n,
             };
-            let motion = bases.motion_at(&t(2, [rows, b]), 0.5);
-            let moved = values(motion.transform_means(&t(3, [rows, 3])));
-            let rotations = values(motion.rotations);
+            let (moved, rotations) = bases.moved_at(&t(2, [rows, b]), &t(3, [rows, 3]), &[0.5]);
+            let (moved, rotations) = (values(moved), values(rotations));
             let ok = |v: &[f64]| v.iter().all(|v| v.is_finite());
             let pairs = moved.chunks(3).zip(rotations.chunks(9));
             pairs.map(|(m, r)| ok(m) && ok(r)).collect()

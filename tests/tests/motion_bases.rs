@@ -145,9 +145,95 @@ fn all_frames_at_once_are_the_frames_one_by_one() {
             assert_close(&of_all, &one, 1e-12, name);
         }
         let times = [0.0, 2.25, 1.5, 9.0];
-        for (time, at) in times.iter().zip(bases.means_at(&logits, &means, &times)) {
+        let (moved, _) = bases.moved_at(&logits, &means, &times);
+        for (t, time) in times.iter().enumerate() {
             let one = values(bases.motion_at(&logits, *time).transform_means(&means));
-            assert_close(&values(at), &one, 1e-12, name);
+            let at = values(moved.clone().narrow(0, t, 1));
+            assert_close(&at, &one, 1e-12, name);
+        }
+    }
+}
+
+/// Six numbers per basis and frame, some of which have no direction or are parallel.
+fn degenerate(count: usize) -> Vec<f64> {
+    let mut six = noise(count * 6, 21);
+    for (k, row) in six.chunks_exact_mut(6).enumerate() {
+        match k % 7 {
+            1 => row[..3].fill(0.0),
+            2 => row.copy_from_slice(&[0.3, 0.1, -0.2, 0.6, 0.2, -0.4]),
+            3 => row.copy_from_slice(&[0.0, 2.0, 0.1, 0.0, 4.0, 0.2]),
+            4 => row[3..].fill(0.0),
+            5 => row.iter_mut().for_each(|v| *v *= 1e-13),
+            _ => {}
+        }
+    }
+    six
+}
+
+#[test]
+fn the_op_is_its_tensor_operations() {
+    // More Gaussians than one task has, and no multiple of a vector; a basis each, so that some rows are degenerate.
+    for (name, device) in devices() {
+        let (b, n, f) = (14, 3, 531);
+        let mut logits = noise(f * b, 22);
+        for (g, row) in logits.chunks_exact_mut(b).enumerate().take(4 * b) {
+            row[g % b] = 80.0;
+        }
+        let inputs = [
+            ("rots", [b, n * 6], degenerate(b * n)),
+            ("transls", [b, n * 3], noise(b * n * 3, 23)),
+            ("coefficients", [f, b], logits),
+            ("means", [f, 3], noise(f * 3, 24)),
+        ];
+        for (dtype, limit) in [(DType::F64, 1e-11), (DType::F32, 2e-4)] {
+            let run = |fused: bool| -> Vec<Vec<f64>> {
+                let leaf = |(_, shape, v): &(&str, [usize; 2], Vec<f64>)| {
+                    tensor(v, *shape, &device.clone().autodiff(), dtype).require_grad()
+                };
+                let t: Vec<Tensor<2>> = inputs.iter().map(leaf).collect();
+                let bases = MotionBases {
+                    rots: t[0].clone(),
+                    transls: t[1].clone(),
+                    num_frames: n,
+                };
+                let times = [0.0, 1.0, 1.75];
+                let (moved, rotations) = if fused {
+                    bases.moved_at(&t[2], &t[3], &times)
+                } else {
+                    let motions = times.map(|time| bases.motion_at(&t[2], time));
+                    let moved = motions.each_ref().map(|m| m.transform_means(&t[3]));
+                    (
+                        Tensor::stack(moved.to_vec(), 0),
+                        Tensor::stack(motions.map(|m| m.rotations).to_vec(), 0),
+                    )
+                };
+                let weigh = |x: Tensor<1>, seed| {
+                    let [count] = x.dims();
+                    let weights = tensor(&noise(count, seed), [count], &device, dtype);
+                    (x * Tensor::from_inner(weights)).sum()
+                };
+                let loss = weigh(moved.clone().flatten(0, 2), 25)
+                    + weigh(rotations.clone().flatten(0, 3), 26);
+                let grads = loss.backward();
+                let mut all = vec![values(moved), values(rotations)];
+                all.extend(
+                    t.iter()
+                        .map(|t| values(t.grad(&grads).expect("a gradient"))),
+                );
+                all
+            };
+            let kinds = [
+                "means",
+                "rotations",
+                "d rots",
+                "d transls",
+                "d logits",
+                "d means",
+            ];
+            for ((kind, fused), plain) in kinds.iter().zip(run(true)).zip(run(false)) {
+                let size = plain.iter().fold(1.0_f64, |a, v| a.max(v.abs()));
+                assert_close(&fused, &plain, limit * size, &format!("{name}: {kind}"));
+            }
         }
     }
 }
@@ -163,9 +249,9 @@ fn no_gaussian_is_no_error() {
         let motion = bases.motion_at(&logits, 0.5);
         assert_eq!(motion.rotations.dims(), [0, 3, 3], "{name}");
         assert_eq!(motion.transform_means(&means).dims(), [0, 3], "{name}");
-        let at = bases.means_at(&logits, &means, &[0.0, 0.5]);
-        assert_eq!(at.len(), 2, "{name}: one for each time");
-        assert_eq!(at[1].dims(), [0, 3], "{name}");
+        let (moved, rotations) = bases.moved_at(&logits, &means, &[0.0, 0.5]);
+        assert_eq!(moved.dims(), [2, 0, 3], "{name}");
+        assert_eq!(rotations.dims(), [2, 0, 3, 3], "{name}");
         assert_eq!(
             values(means_acceleration([&means, &means, &means], 1.0)),
             [0.0],
@@ -309,8 +395,9 @@ fn motion_has_the_right_gradient() {
                     transls: x[1].clone(),
                     num_frames: n,
                 };
-                let moved = bases.motion_at(&x[2], time).transform_means(&x[3]);
-                (moved * Tensor::from_inner(direction.clone())).sum()
+                let (moved, rotations) = bases.moved_at(&x[2], &x[3], &[time]);
+                let moved = moved.reshape([f, 3]) * Tensor::from_inner(direction.clone());
+                moved.sum() + rotations.narrow(3, 0, 2).sin().sum()
             });
         }
         check_gradients(&device, &inputs, &[], GradLimits::default(), |x| {

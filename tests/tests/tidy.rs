@@ -11,7 +11,7 @@ const ARROWS: [(&str, &[&str]); 13] = [
     ("property", &[]),
     ("host", &[]),
     ("splat-core", &["host"]),
-    ("motion-bases", &["property"]),
+    ("motion-bases", &["host", "property"]),
     ("bpnet", &["host"]),
     ("capture", &[]),
     ("unseen-views", &["splat-core", "property"]),

@@ -6,17 +6,20 @@
 //! (Shape of Motion, Wang et al. 2024).
 //!
 //! The way through the crate: [`Tracks3d`] → [`initialize`] → [`MotionInit`] → the first fit, whose
-//! loss is [`fit_loss`] → [`MotionBases::motion_at`] in each iteration. The optimiser is the caller's.
+//! loss is [`fit_loss`] → [`MotionBases::moved_at`] in each iteration. The optimiser is the caller's.
 //!
 //! The crate does no I/O, keeps no clock, and draws random numbers only from the caller's seed.
 
+mod backends;
 mod basis_init;
 mod clustering;
+mod cpu;
 mod error;
 mod fit;
 mod init;
 mod merging;
 mod motion;
+mod ops;
 mod procrustes;
 mod quaternion;
 mod rotation;

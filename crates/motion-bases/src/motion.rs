@@ -2,7 +2,9 @@
 //! weighted sum of its equation 1 taken over 6D vectors and translations, before a rotation is made of the former.
 
 use crate::init::MotionInit;
+use crate::ops::MotionOps;
 use crate::rotation::{MAX_ENTRY, gram_schmidt};
+use burn::backend::Dispatch;
 use burn::tensor::activation::softmax;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 
@@ -61,7 +63,8 @@ impl MotionBases {
         self.rots.dims()[0]
     }
 
-    /// The motion from the canonical frame to `time` of Gaussians with the given coefficients.
+    /// The motion from the canonical frame to `time` of Gaussians with the given coefficients, in Burn's own operations: what
+    /// [`Self::moved_at`] is held against, and where a motion is wanted without anything that moves.
     ///
     /// `coefficients` are logits, [F, B]. `time` is in units of frames and is clamped to [0, N - 1];
     /// between two frames the blended 6D vectors and translations are interpolated linearly, before
@@ -71,7 +74,7 @@ impl MotionBases {
     /// Panics when `time` is NaN, or when the shapes do not fit together.
     #[must_use]
     pub fn motion_at(&self, coefficients: &Tensor<2>, time: f32) -> Motion {
-        let rows = coefficients.dims()[0];
+        let [rows, _] = coefficients.dims();
         if rows == 0 {
             let options = (&coefficients.device(), coefficients.dtype());
             return Motion {
@@ -79,41 +82,36 @@ impl MotionBases {
                 translations: Tensor::zeros([0, 3], options),
             };
         }
-        self.rigid_at(coefficients, &[self.moment(time)])
+        self.check(coefficients);
+        let weights = softmax(coefficients.clone(), 1); // [F, B]
+        let [rots, transls] = self.at(&[self.moment(time)]);
+        Motion {
+            rotations: gram_schmidt(weights.clone().matmul(rots)),
+            translations: weights.matmul(transls),
+        }
     }
 
-    /// Means [F, 3] of the canonical frame at several times, each [F, 3]: cheaper than one
-    /// [`Self::motion_at`] for each.
+    /// Means [T, F, 3] of the canonical frame and rotations [T, F, 3, 3] at several times, as [`Self::motion_at`] has them, in
+    /// one op.
     ///
     /// # Panics
     /// As [`Self::motion_at`].
     #[must_use]
-    pub fn means_at(
+    pub fn moved_at(
         &self,
         coefficients: &Tensor<2>,
         means: &Tensor<2>,
         times: &[f32],
-    ) -> Vec<Tensor<2>> {
-        let ([rows, _], count) = (means.dims(), times.len());
-        if rows == 0 {
-            return vec![means.clone(); count];
-        }
-        let repeated = means.clone().reshape([rows, 1, 3]).expand([rows, count, 3]);
+    ) -> (Tensor<3>, Tensor<4>) {
         let moments: Vec<_> = times.iter().map(|time| self.moment(*time)).collect();
-        let moved = self
-            .rigid_at(coefficients, &moments)
-            .transform_means(&repeated.reshape([rows * count, 3]))
-            .reshape([rows, count, 3]);
-        (0..count)
-            .map(|t| moved.clone().narrow(1, t, 1).reshape([rows, 3]))
-            .collect()
+        self.moved(coefficients, means, &moments)
     }
 
-    /// Means [T, F, 3] of the canonical frame and rotations [T, F, 3, 3] at times within an exposure, `[T]`, with the times'
-    /// gradient: the motion of the first and the last frame goes on for up to half a frame beyond the ends.
+    /// The same at times within an exposure, `[T]`, with the times' gradient: the motion of the first and the last frame goes
+    /// on for up to half a frame beyond the ends.
     ///
     /// # Panics
-    /// As [`Self::motion_at`], and for no Gaussian or no time.
+    /// As [`Self::motion_at`].
     #[must_use]
     pub fn exposed_at(
         &self,
@@ -121,7 +119,6 @@ impl MotionBases {
         means: &Tensor<2>,
         times: &Tensor<1>,
     ) -> (Tensor<3>, Tensor<4>) {
-        let ([rows, _], [count]) = (means.dims(), times.dims());
         let last = self.num_frames.saturating_sub(1);
         let times = times.clone().clamp(-0.5, last as f64 + 0.5);
         let seen = times.clone().detach().try_into_vec_as::<f32>();
@@ -135,15 +132,48 @@ impl MotionBases {
                 part: (last > 0).then(|| Part::Tensor(Box::new(part.reshape([1, 1])))),
             }
         });
-        let motion = self.rigid_at(coefficients, &moments.collect::<Vec<_>>());
-        let repeated = means.clone().reshape([rows, 1, 3]).expand([rows, count, 3]);
-        let moved = motion.transform_means(&repeated.reshape([rows * count, 3]));
+        self.moved(coefficients, means, &moments.collect::<Vec<_>>())
+    }
+
+    fn moved(
+        &self,
+        coefficients: &Tensor<2>,
+        means: &Tensor<2>,
+        moments: &[Moment],
+    ) -> (Tensor<3>, Tensor<4>) {
+        let ([rows, _], count) = (means.dims(), moments.len());
+        if rows == 0 || count == 0 {
+            let options = (&means.device(), means.dtype());
+            return (
+                Tensor::zeros([count, rows, 3], options),
+                Tensor::zeros([count, rows, 3, 3], options),
+            );
+        }
+        self.check(coefficients);
+        assert!(
+            means.dims() == [coefficients.dims()[0], 3],
+            "there are coefficients for {} Gaussians, but means {:?}",
+            coefficients.dims()[0],
+            means.dims()
+        );
+        let bases = self.num_bases();
+        let [rots, transls] = self.at(moments);
+        let each = |values: Tensor<2>, width: usize| values.reshape([bases, count, width]);
+        let bases = Tensor::cat(vec![each(rots, 6), each(transls, 3)], 2);
+        let moved = Tensor::<1>::from_dispatch(<Dispatch as MotionOps>::moved(
+            coefficients.clone().into_dispatch(),
+            bases.into_dispatch(),
+            means.clone().into_dispatch(),
+        ));
+        let (ends_at, end) = (count * rows * 3, count * rows * 12);
         (
-            moved.reshape([rows, count, 3]).swap_dims(0, 1),
-            motion
-                .rotations
-                .reshape([rows, count, 3, 3])
-                .swap_dims(0, 1),
+            moved
+                .clone()
+                .slice_dim(0, 0..ends_at)
+                .reshape([count, rows, 3]),
+            moved
+                .slice_dim(0, ends_at..end)
+                .reshape([count, rows, 3, 3]),
         )
     }
 
@@ -159,14 +189,17 @@ impl MotionBases {
         }
     }
 
-    /// The motions of F Gaussians at T moments, as those of F T: all moments of a Gaussian in a row. F is not 0.
-    fn rigid_at(&self, coefficients: &Tensor<2>, moments: &[Moment]) -> Motion {
+    fn check(&self, coefficients: &Tensor<2>) {
         let [rows, bases] = coefficients.dims();
         assert!(
             bases == self.num_bases(),
             "coefficients are [{rows}, {bases}], but there are {} motion bases",
             self.num_bases()
         );
+    }
+
+    /// 6D vectors [B, T * 6] and translations [B, T * 3] of all bases at T moments.
+    fn at(&self, moments: &[Moment]) -> [Tensor<2>; 2] {
         let at = |frames: &Tensor<2>, width: usize| {
             let frame = |t: usize| frames.clone().slice_dim(1, width * t..width * (t + 1));
             // Blending over bases and interpolation over time are linear: their order does not matter.
@@ -183,18 +216,11 @@ impl MotionBases {
                     }
                 }
             });
-            Tensor::cat(moments.collect(), 1) // [B, T * width]
+            Tensor::cat(moments.collect(), 1)
         };
-        let rows = rows * moments.len();
-        let weights = softmax(coefficients.clone(), 1); // [F, B]
         // Clamped here already, so that a product cannot overflow.
-        let six = weights
-            .clone()
-            .matmul(at(&self.rots, 6).clamp(-MAX_ENTRY, MAX_ENTRY)); // [F, T * 6]
-        Motion {
-            rotations: gram_schmidt(six.reshape([rows, 6])),
-            translations: weights.matmul(at(&self.transls, 3)).reshape([rows, 3]),
-        }
+        let rots = at(&self.rots, 6).clamp(-MAX_ENTRY, MAX_ENTRY);
+        [rots, at(&self.transls, 3)]
     }
 }
 

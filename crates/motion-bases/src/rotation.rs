@@ -15,9 +15,11 @@ use burn::tensor::Tensor;
 
 /// A vector under this length has no direction. Gradients grow as one over length and sine: with
 /// these limits they stay under 1e18, and their squares, which an optimiser may form, fit into f32.
-const MIN_NORM: f64 = 1e-12;
+pub(crate) const MIN_NORM: f64 = 1e-12;
 /// Two vectors with a smaller sine between them count as parallel. (In f32 the sine is known to 2e-7.)
-const MIN_SINE: f64 = 1e-6;
+pub(crate) const MIN_SINE: f64 = 1e-6;
+/// An x axis whose y component has a larger square lies near the y axis.
+pub(crate) const NEAR_Y_AXIS: f64 = 0.8;
 /// Larger entries are clamped, so that squares of squares fit into f32.
 pub(crate) const MAX_ENTRY: f64 = 1e9;
 
@@ -62,7 +64,7 @@ pub(crate) fn orthonormal_columns(a1: Components, a2: Components) -> [Components
     let a2 = scaled(a2, &length.recip());
     let x_fixed = detached(&x);
     let parallel = square_norm(&cross(&x_fixed, &detached(&a2))).lower_elem(MIN_SINE * MIN_SINE);
-    let x_near_y_axis = x_fixed[1].clone().square().greater_elem(0.8);
+    let x_near_y_axis = x_fixed[1].clone().square().greater_elem(NEAR_Y_AXIS);
     let z_axis = x_fixed[1].zeros_like().mask_fill(x_near_y_axis, 1.0);
     let y_axis = z_axis.clone().neg() + 1.0;
     let [ax, ay, az] = a2;

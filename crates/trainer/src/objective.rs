@@ -76,8 +76,9 @@ impl Objective<'_> {
         let middle = view.viewpoint.time.clamp(1.0, last - 1.0);
         let means = world.dynamic_means();
         let times = [middle - 1.0, middle, middle + 1.0];
-        let at = motion.bases.means_at(&motion.coefficients, &means, &times);
-        let [before, now, after] = [&at[0], &at[1], &at[2]];
+        let (moved, _) = motion.bases.moved_at(&motion.coefficients, &means, &times);
+        let [before, now, after] =
+            &[0, 1, 2].map(|t| moved.clone().narrow(0, t, 1).reshape(means.dims()));
         terms.add("means_acceleration", weights.means_acceleration, || {
             motion_bases::means_acceleration([before, now, after], size)
         });

@@ -4,7 +4,7 @@ use crate::parameter::{Group, Parameter};
 use crate::placement::Seeds;
 use crate::tensors::{constant, host, rows_from};
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use motion_bases::{Motion, MotionBases, quats_of_posed};
+use motion_bases::{MotionBases, quats_of_posed};
 use splat_core::{Gaussians, Movers, Splats};
 
 /// RGB to the SH coefficient of degree 0 and back.
@@ -107,12 +107,14 @@ impl World {
         (self.sh.dims()[1] / 3).isqrt() - 1
     }
 
-    /// Motion of the dynamic Gaussians at a time (training frames, may be fractional).
-    #[must_use]
-    pub fn motion_at(&self, time: f32) -> Option<Motion> {
-        self.motion
-            .as_ref()
-            .map(|m| m.bases.motion_at(&m.coefficients, time))
+    /// Means [F, 3] and rotations [F, 3, 3] of the dynamic Gaussians at a time (training frames, may be fractional); `None`
+    /// where nothing moves.
+    fn moved_at(&self, time: f32) -> Option<(Tensor<2>, Tensor<3>)> {
+        let motion = self.motion.as_ref()?;
+        let means = self.dynamic_means();
+        let [rows, _] = means.dims();
+        let (moved, rotations) = motion.bases.moved_at(&motion.coefficients, &means, &[time]);
+        Some((moved.reshape([rows, 3]), rotations.reshape([rows, 3, 3])))
     }
 
     /// Where the dynamic Gaussians are at times within an exposure, `[T]`; `None` where nothing moves.
@@ -142,11 +144,11 @@ impl World {
     pub fn pose(&self, time: f32) -> Posed {
         let n = self.num_gaussians();
         let (mut means, mut left_rotations, mut dynamic) = (self.means.clone(), None, None);
-        if let Some(motion) = self.motion_at(time) {
-            let mut parts = vec![motion.transform_means(&self.dynamic_means())];
+        if let Some((moved, rotations)) = self.moved_at(time) {
+            let mut parts = vec![moved];
             parts.extend(rows_from(&self.means, self.num_dynamic));
             means = Tensor::cat(parts, 0);
-            left_rotations = Some(motion.rotations);
+            left_rotations = Some(rotations);
             let (device, dtype) = (self.means.device(), self.means.dtype());
             let mut flags = vec![0.0_f32; n];
             flags[..self.num_dynamic].fill(1.0);
@@ -226,14 +228,13 @@ impl World {
     pub fn gaussians(&self, time: Option<f32>) -> Gaussians {
         let mut means = rows::<3>(&self.means);
         let mut quats = rows::<4>(&self.quats);
-        if let Some(motion) = time.and_then(|t| self.detached().motion_at(t)) {
-            let moved = rows::<3>(&motion.transform_means(&self.dynamic_means()));
+        if let Some((moved, rotations)) = time.and_then(|t| self.detached().moved_at(t)) {
+            let moved = rows::<3>(&moved);
             means[..moved.len()].copy_from_slice(&moved);
-            let rotations: Vec<[f64; 9]> =
-                rows::<9>(&motion.rotations.reshape([self.num_dynamic, 9]))
-                    .iter()
-                    .map(|r| r.map(f64::from))
-                    .collect();
+            let rotations: Vec<[f64; 9]> = rows::<9>(&rotations.reshape([self.num_dynamic, 9]))
+                .iter()
+                .map(|r| r.map(f64::from))
+                .collect();
             quats = quats_of_posed(&rotations, &quats);
         }
         Gaussians {

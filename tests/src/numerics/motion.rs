@@ -58,9 +58,8 @@ fn case(name: &str, input: Input) -> Case {
             transls: t[1].clone(),
             num_frames: frames,
         };
-        let motion = model.motion_at(&t[2], time);
-        let rotations = motion.rotations.clone().reshape([ROWS, 9]);
-        let moved = motion.transform_means(&t[3]);
+        let (moved, rotations) = model.moved_at(&t[2], &t[3], &[time]);
+        let (moved, rotations) = (moved.reshape([ROWS, 3]), rotations.reshape([ROWS, 9]));
         let weigh = |x: Tensor<2>, seed| {
             let [rows, columns] = x.dims();
             let weights = scaled(rows * columns, seed, 1.0, 0.0);

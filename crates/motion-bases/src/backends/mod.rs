@@ -1,0 +1,5 @@
+//! The adapters between Burn's tensors and the slices that the kernel works on.
+
+mod autodiff;
+#[cfg(any(feature = "flex", feature = "ndarray"))]
+mod cpu;
