@@ -95,7 +95,7 @@ pub(crate) fn write_all(trainer: &Trainer, out: &Path) -> Result<Evaluation, Fai
     Ok(trainer.evaluate()?)
 }
 
-/// Writes `test/`, `train/`, `blurred/` and `kernels.png`, whose blurry frames are those of `scene`.
+/// Writes `test/`, `train/`, `blurred/` and `blur.png`, whose blurry frames are those of `scene`.
 pub(crate) fn write_renders(
     run: &Run,
     scene: Option<&Scene>,
@@ -124,7 +124,7 @@ pub(crate) fn write_renders(
         }
     }
     if let Some(sheet) = sheet::stack(&rows) {
-        io::write_png(&folder.join("kernels.png"), &sheet)?;
+        io::write_png(&folder.join("blur.png"), &sheet)?;
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `kernels.png`: blurry frame, sharp render, and how it was blurred: an intensity map and the kernels at a few pixels, or
+//! `blur.png`: blurry frame, sharp render, and how it was blurred: an intensity map and the kernels at a few pixels, or
 //! the camera's path and its discs.
 
 use io::Image;
