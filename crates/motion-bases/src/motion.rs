@@ -165,15 +165,12 @@ impl MotionBases {
             bases.into_dispatch(),
             means.clone().into_dispatch(),
         ));
-        let (ends_at, end) = (count * rows * 3, count * rows * 12);
+        let (of_means, all) = (count * rows * 3, count * rows * 12);
+        let means = moved.clone().slice_dim(0, 0..of_means);
+        let rotations = moved.slice_dim(0, of_means..all);
         (
-            moved
-                .clone()
-                .slice_dim(0, 0..ends_at)
-                .reshape([count, rows, 3]),
-            moved
-                .slice_dim(0, ends_at..end)
-                .reshape([count, rows, 3, 3]),
+            means.reshape([count, rows, 3]),
+            rotations.reshape([count, rows, 3, 3]),
         )
     }
 

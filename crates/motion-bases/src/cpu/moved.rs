@@ -103,7 +103,7 @@ pub(crate) fn frame<T: Real>(blend: &[Lanes<T>; BASIS], lane: usize) -> Frame<T>
     Frame::of([0, 1, 2, 3, 4, 5].map(|c| blend[c][lane]))
 }
 
-/// `count` rows of C numbers side by side; other lanes are 0.
+/// Rows of C numbers side by side; lanes without a row are 0.
 #[inline(always)]
 pub(crate) fn gathered<T: Real, const C: usize>(rows: &[T]) -> [Lanes<T>; C] {
     let mut lanes = [[T::ZERO; LANES]; C];
