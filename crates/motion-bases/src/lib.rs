@@ -10,6 +10,10 @@
 //!
 //! The crate does no I/O, keeps no clock, and draws random numbers only from the caller's seed.
 
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
 mod backends;
 mod basis_init;
 mod clustering;
@@ -19,6 +23,10 @@ mod fit;
 mod init;
 mod merging;
 mod motion;
+#[cfg_attr(
+    feature = "ndarray",
+    allow(deprecated, reason = "kept as a second, independent CPU backend")
+)]
 mod ops;
 mod procrustes;
 mod quaternion;

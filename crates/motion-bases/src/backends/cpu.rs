@@ -1,13 +1,5 @@
 //! Backends whose tensors lie in main memory share the kernel of [`crate::cpu`].
 
-#![cfg_attr(
-    feature = "ndarray",
-    allow(
-        deprecated,
-        reason = "NdArray is kept as a second, independent CPU backend"
-    )
-)]
-
 use burn::backend::{TensorMetadata as _, tensor::FloatTensor};
 use host::{HostBackend, HostFloat, tensor, with_float};
 
