@@ -7,7 +7,7 @@
 use std::env;
 use std::ffi::{OsStr, OsString};
 use std::io::{BufRead as _, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
@@ -237,10 +237,13 @@ fn backend_feature(args: &[OsString]) -> Option<&'static str> {
     }
 }
 
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("xtask lies in the workspace's root")
+/// The checkout that cargo was called in. (Where two of them share a target folder, this program may have been built in the
+/// other.)
+fn root() -> PathBuf {
+    let here =
+        env::var_os("CARGO_MANIFEST_DIR").unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
+    let root = Path::new(&here).parent();
+    root.expect("xtask lies in the workspace's root").to_owned()
 }
 
 /// The cargo that started this program.
@@ -307,7 +310,8 @@ mod tests {
             .map(OsStr::to_string_lossy)
             .skip(3)
             .collect();
-        let root = root().to_str().expect("a path in UTF-8");
+        let root = root();
+        let root = root.to_str().expect("a path in UTF-8");
         args.join(" ").replace(root, "ROOT")
     }
 
