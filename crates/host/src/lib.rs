@@ -29,5 +29,5 @@ pub use buffers::filled;
 pub use finite::{all_zero, count_not_finite, first_not_finite};
 pub use real::Real;
 #[cfg(feature = "burn")]
-pub use tensors::{HostBackend, HostFloat, register, tensor};
+pub use tensors::{HostBackend, HostFloat, pass_back, tensor};
 pub use vectors::{Vectors, vectorized};

@@ -10,7 +10,7 @@
 
 use std::borrow::Cow;
 
-use burn::backend::autodiff::{NodeId, grads::Gradients};
+use burn::backend::autodiff::{grads::Gradients, ops::Ops};
 use burn::backend::{Backend, TensorMetadata as _, tensor::FloatTensor};
 use burn::tensor::{Element, Shape, TensorData, read_sync};
 
@@ -106,12 +106,17 @@ pub fn tensor<T: Element, B: Backend>(
     B::float_from_data(TensorData::new(values, shape), &like.device())
 }
 
-/// Adds each gradient to that of its parent, for the parents that are tracked.
-pub fn register<B: Backend, const N: usize>(
+/// The way back of a node: `gradients` makes those of its parents of its state and its own, and is told which are wanted.
+/// Each is added to that of its parent, for the parents that are tracked.
+pub fn pass_back<B: Backend, S, const N: usize>(
+    ops: Ops<S, N>,
     grads: &mut Gradients,
-    parents: [Option<NodeId>; N],
-    gradients: [Option<FloatTensor<B>>; N],
+    gradients: impl FnOnce(S, FloatTensor<B>, [bool; N]) -> [Option<FloatTensor<B>>; N],
 ) {
+    let gradient = grads.consume::<B>(&ops.node);
+    let parents = ops.parents.map(|parent| parent.map(|node| node.id));
+    let wanted = parents.each_ref().map(Option::is_some);
+    let gradients = gradients(ops.state, gradient, wanted);
     for (parent, gradient) in parents.into_iter().zip(gradients) {
         if let (Some(parent), Some(gradient)) = (parent, gradient) {
             grads.register::<B>(parent, gradient);

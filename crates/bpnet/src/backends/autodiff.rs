@@ -6,7 +6,7 @@ use burn::backend::autodiff::{
     ops::{Backward, Ops, OpsKind, unary},
 };
 use burn::backend::{Autodiff, tensor::FloatTensor};
-use host::register;
+use host::pass_back;
 
 use crate::cpu::conv::ConvSize;
 use crate::cpu::predict::PredictSize;
@@ -30,12 +30,13 @@ impl<B: BpNetBackwardOps> Backward<B, 3> for Conv {
         grads: &mut Gradients,
         _checkpointer: &mut Checkpointer,
     ) {
-        let gradient = grads.consume::<B>(&ops.node);
-        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
-        let (input, weight, output, size) = ops.state;
-        let wanted = parents.each_ref().map(Option::is_some);
-        let gradients = B::conv_backward(input, weight, output, gradient, size, wanted);
-        register::<B, 3>(grads, parents, gradients);
+        pass_back::<B, _, _>(
+            ops,
+            grads,
+            |(input, weight, output, size), gradient, wanted| {
+                B::conv_backward(input, weight, output, gradient, size, wanted)
+            },
+        );
     }
 }
 
@@ -70,12 +71,9 @@ impl<B: BpNetBackwardOps> Backward<B, PREDICTOR> for Predict {
         grads: &mut Gradients,
         _checkpointer: &mut Checkpointer,
     ) {
-        let gradient = grads.consume::<B>(&ops.node);
-        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
-        let (predictor, output, size) = ops.state;
-        let wanted = parents.each_ref().map(Option::is_some);
-        let gradients = B::predict_backward(predictor, output, gradient, size, wanted);
-        register::<B, PREDICTOR>(grads, parents, gradients);
+        pass_back::<B, _, _>(ops, grads, |(predictor, output, size), gradient, wanted| {
+            B::predict_backward(predictor, output, gradient, size, wanted)
+        });
     }
 }
 
@@ -110,12 +108,9 @@ impl<B: BpNetBackwardOps> Backward<B, 2> for Composite {
         grads: &mut Gradients,
         _checkpointer: &mut Checkpointer,
     ) {
-        let gradient = grads.consume::<B>(&ops.node);
-        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
-        let [image, field] = ops.state;
-        let wanted = parents.each_ref().map(Option::is_some);
-        let gradients = B::composite_backward(image, field, gradient, wanted);
-        register::<B, 2>(grads, parents, gradients);
+        pass_back::<B, _, _>(ops, grads, |[image, field], gradient, wanted| {
+            B::composite_backward(image, field, gradient, wanted)
+        });
     }
 }
 

@@ -6,7 +6,7 @@ use burn::backend::autodiff::{
     ops::{Backward, Ops, OpsKind},
 };
 use burn::backend::{Autodiff, tensor::FloatTensor};
-use host::register;
+use host::pass_back;
 
 use crate::ops::{MotionBackwardOps, MotionOps};
 
@@ -22,11 +22,7 @@ impl<B: MotionBackwardOps> Backward<B, 3> for Moved {
         grads: &mut Gradients,
         _checkpointer: &mut Checkpointer,
     ) {
-        let gradient = grads.consume::<B>(&ops.node);
-        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
-        let wanted = parents.each_ref().map(Option::is_some);
-        let gradients = B::moved_backward(ops.state, gradient, wanted);
-        register::<B, 3>(grads, parents, gradients);
+        pass_back::<B, _, _>(ops, grads, B::moved_backward);
     }
 }
 

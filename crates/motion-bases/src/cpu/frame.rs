@@ -8,9 +8,9 @@ use crate::rotation::{MIN_NORM, MIN_SINE, NEAR_Y_AXIS};
 /// The columns of a rotation, and what the way back needs.
 #[derive(Clone, Copy)]
 pub(crate) struct Frame<T> {
-    pub(crate) x: Vec3<T>,
-    pub(crate) y: Vec3<T>,
-    pub(crate) z: Vec3<T>,
+    x: Vec3<T>,
+    y: Vec3<T>,
+    z: Vec3<T>,
     /// The second vector as it counts, of length 1 or an axis.
     second: Vec3<T>,
     /// x × second, and how far it lies along x.

@@ -6,7 +6,7 @@ use burn::backend::autodiff::{
     ops::{Backward, Ops, OpsKind},
 };
 use burn::backend::{Autodiff, AutodiffBackend, tensor::FloatTensor};
-use host::register;
+use host::pass_back;
 
 use crate::camera::Camera;
 use crate::ops::{
@@ -26,12 +26,9 @@ impl<B: SplatBackwardOps> Backward<B, INPUTS> for Rasterize {
         grads: &mut Gradients,
         _checkpointer: &mut Checkpointer,
     ) {
-        let gradient = grads.consume::<B>(&ops.node);
-        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
-        let (saved, scene, features) = ops.state;
-        let wanted = parents.each_ref().map(Option::is_some);
-        let gradients = B::rasterize_backward(saved, scene, features, gradient, wanted);
-        register::<B, INPUTS>(grads, parents, gradients);
+        pass_back::<B, _, _>(ops, grads, |(saved, scene, features), gradient, wanted| {
+            B::rasterize_backward(saved, scene, features, gradient, wanted)
+        });
     }
 }
 
@@ -47,12 +44,9 @@ impl<B: SplatBackwardOps> Backward<B, EXPOSE_INPUTS> for Expose {
         grads: &mut Gradients,
         _checkpointer: &mut Checkpointer,
     ) {
-        let gradient = grads.consume::<B>(&ops.node);
-        let parents = ops.parents.map(|parent| parent.map(|node| node.id));
-        let (saved, scene, moving) = ops.state;
-        let wanted = parents.each_ref().map(Option::is_some);
-        let gradients = B::expose_backward(saved, scene, moving, gradient, wanted);
-        register::<B, EXPOSE_INPUTS>(grads, parents, gradients);
+        pass_back::<B, _, _>(ops, grads, |(saved, scene, moving), gradient, wanted| {
+            B::expose_backward(saved, scene, moving, gradient, wanted)
+        });
     }
 }
 
