@@ -9,8 +9,10 @@ pub use gradcheck::{GradLimits, GradReport, check_gradients, directional_report}
 pub use property::{property, uniform};
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use std::collections::BTreeSet;
 use std::error::Error;
 use std::io::Write as _;
+use std::sync::{Mutex, PoisonError};
 
 /// Every backend that is compiled in, by the name `--backend` gives it.
 ///
@@ -27,6 +29,8 @@ pub fn devices() -> Vec<(&'static str, Device)> {
         #[cfg(feature = "ndarray")]
         ("ndarray", ndarray()),
     ];
+    #[cfg(feature = "wgpu")]
+    devices.extend(gpu().map(|device| ("wgpu", device)));
     if let Ok(wanted) = std::env::var("LIMPID_BACKENDS") {
         devices.retain(|(name, _)| wanted.split(',').any(|w| w == *name));
         assert!(
@@ -35,6 +39,31 @@ pub fn devices() -> Vec<(&'static str, Device)> {
         );
     }
     devices
+}
+
+/// Those of [`devices`] that compute in `dtype`; which are left out is said once a test.
+#[must_use]
+pub fn devices_in(dtype: DType) -> Vec<(&'static str, Device)> {
+    let mut devices = devices();
+    devices.retain(|(name, device)| computes(name, device, dtype));
+    devices
+}
+
+/// Whether a device computes in `dtype`; where it does not, the test says once that it leaves it out.
+#[must_use]
+pub fn computes(name: &str, device: &Device, dtype: DType) -> bool {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let computes = device.supports_dtype(dtype);
+    if !computes {
+        let thread = std::thread::current();
+        let test = thread.name().unwrap_or("a test");
+        let why = format!("{name} does not compute in {dtype:?}");
+        let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+        if said.insert(format!("{test}: {why}")) {
+            skipped(test, &why);
+        }
+    }
+    computes
 }
 
 /// Says that a test, or a part of it, could not run and why: on a line of its own past the test harness, which would keep it.
@@ -48,6 +77,16 @@ pub fn skipped(test: &str, why: &str) {
 #[expect(deprecated, reason = "kept as a second, independent CPU backend")]
 fn ndarray() -> Device {
     Device::ndarray()
+}
+
+/// The adapter that wgpu would take, a GPU before a CPU that plays one.
+#[cfg(feature = "wgpu")]
+fn gpu() -> Option<Device> {
+    use burn::tensor::DeviceType;
+    Device::enumerate(DeviceType::Wgpu)
+        .into_vec()
+        .into_iter()
+        .next()
 }
 
 /// A tensor of these values, rounded to `dtype`.

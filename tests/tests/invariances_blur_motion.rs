@@ -5,7 +5,7 @@ use arbtest::arbitrary::{Result, Unstructured};
 use bpnet::{BlurField, BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, blur, composite};
 use burn::tensor::{DType, Device};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use limpid_tests::{devices, property, tensor, uniform, values};
+use limpid_tests::{devices_in, property, tensor, uniform, values};
 use motion_bases::{
     InitOptions, MotionBases, Tracks3d, gram_schmidt, initialize, positions_all_frames,
 };
@@ -22,11 +22,11 @@ fn rounding(dtype: DType) -> f64 {
 
 /// Every backend with every float type, by name.
 fn backends() -> Vec<(String, Device, DType)> {
-    devices()
+    [DType::F32, DType::F64]
         .into_iter()
-        .flat_map(|(name, device)| {
-            [DType::F32, DType::F64]
-                .map(|dtype| (format!("{name}, {dtype:?}"), device.clone(), dtype))
+        .flat_map(|dtype| {
+            let named = move |(name, device)| (format!("{name}, {dtype:?}"), device, dtype);
+            devices_in(dtype).into_iter().map(named)
         })
         .collect()
 }

@@ -1,7 +1,9 @@
 //! The trainer's losses on tensors, on every backend that is compiled in.
 
 use burn::tensor::{DType, Device, Tensor};
-use limpid_tests::{GradLimits, check_gradients, devices, in_pool, tensor, unit_noise, values};
+use limpid_tests::{
+    GradLimits, check_gradients, computes, devices, devices_in, in_pool, tensor, unit_noise, values,
+};
 use trainer::losses::{
     depth_loss, depth_shift_loss, detail_loss, downsample_loss, intensity_penalty, mask_band,
     mask_loss, photometric, ssim,
@@ -56,6 +58,9 @@ fn ssim_agrees_with_its_definition() {
                 .collect();
             let expected = direct_ssim(&a, &b, width, height);
             for (dtype, tolerance) in [(DType::F64, 1e-12), (DType::F32, 1e-5)] {
+                if !computes(name, &device, dtype) {
+                    continue;
+                }
                 let of = |v: &[f64]| tensor(v, [height, width, 3], &device, dtype);
                 let value = scalar(ssim(of(&a), &of(&b)));
                 assert!(
@@ -66,9 +71,9 @@ fn ssim_agrees_with_its_definition() {
                 let strided = of(&a).permute([1, 0, 2]).reshape([width, height, 3]);
                 let strided = scalar(ssim(strided.permute([1, 0, 2]), &of(&b)));
                 assert_eq!(value, strided, "{name}: strided input");
+                let same = scalar(ssim(of(&a), &of(&a)));
+                assert!((same - 1.0).abs() < tolerance, "{name} {dtype:?}: {same}");
             }
-            let same = tensor(&a, [height, width, 3], &device, DType::F64);
-            assert!((scalar(ssim(same.clone(), &same)) - 1.0).abs() < 1e-12);
         }
     }
 }
@@ -123,7 +128,7 @@ fn gradients_of_the_picture_losses() {
         .zip(&a)
         .map(|(n, a)| a - 0.1 - 0.4 * n)
         .collect();
-    for (_, device) in devices() {
+    for (_, device) in devices_in(DType::F64) {
         let target = tensor(&b, [height, width, 3], &device, DType::F64);
         let check = |loss: &dyn Fn(Tensor<3>) -> Tensor<1>| {
             check_gradients(
@@ -156,7 +161,7 @@ fn gray(
 
 #[test]
 fn fine_detail_is_what_differs_from_the_pixels_around_it() {
-    for (name, device) in devices() {
+    for (name, device) in devices_in(DType::F64) {
         let picture = |f: &dyn Fn(usize, usize) -> f64| gray([6, 9], &device, f);
         let zero = picture(&|_, _| 0.0);
         let of = |picture: Tensor<3>| scalar(detail_loss(picture, zero.clone()));
@@ -177,7 +182,7 @@ fn fine_detail_is_what_differs_from_the_pixels_around_it() {
 
 #[test]
 fn downsampling_averages_whole_blocks() {
-    for (name, device) in devices() {
+    for (name, device) in devices_in(DType::F64) {
         // 5x9: one row of blocks of 4, two columns; the rest is left out.
         let picture = |f: &dyn Fn(usize, usize) -> f64| gray([5, 9], &device, f);
         let zero = picture(&|_, _| 0.0);
@@ -229,7 +234,7 @@ fn a_mover_under_two_percent_of_the_picture_has_a_mask_loss() {
 
 #[test]
 fn the_mask_loss_trims_each_side_and_spares_the_band() {
-    for (name, device) in devices() {
+    for (name, device) in devices_in(DType::F64) {
         let (width, height) = (40, 20);
         let target = rectangle([width, height], 0..20, 0..20);
         let band = 2;
@@ -288,7 +293,7 @@ fn the_mask_loss_trims_each_side_and_spares_the_band() {
 fn gradient_of_the_mask_loss() {
     let size = [12, 9];
     let target = rectangle(size, 2..9, 1..8);
-    for (_, device) in devices() {
+    for (_, device) in devices_in(DType::F64) {
         check_gradients(
             &device,
             // Errors that differ, so that the trimmed ones stay the same under a small step.
@@ -318,7 +323,7 @@ fn gradient_of_the_depth_loss_goes_to_the_depth_alone() {
             _ => 0.6,
         })
         .collect();
-    for (name, device) in devices() {
+    for (name, device) in devices_in(DType::F64) {
         let opaque = tensor(&alpha, [height, width], &device, DType::F64);
         check_gradients(
             &device,
@@ -342,7 +347,7 @@ fn gradient_of_the_depth_loss_goes_to_the_depth_alone() {
 
 #[test]
 fn the_depth_shift_loss_is_the_squared_mean_over_the_points() {
-    for (name, device) in devices() {
+    for (name, device) in devices_in(DType::F64) {
         let (width, height, scene_size) = (8, 5, 4.0);
         let points: Vec<f32> = (0..width * height)
             .map(|k| {
@@ -383,7 +388,7 @@ fn the_depth_shift_loss_is_the_squared_mean_over_the_points() {
 
 #[test]
 fn the_depth_loss_forgives_scale_and_shift_and_nothing_else() {
-    for (name, device) in devices() {
+    for (name, device) in devices_in(DType::F64) {
         let (width, height) = (32, 18);
         let scene_size = 4.0;
         let depth: Vec<f64> = unit_noise(width * height, 6)

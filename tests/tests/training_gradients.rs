@@ -4,7 +4,7 @@ use burn::tensor::{DType, Tensor};
 use glam::DVec3;
 use io::SparsePoint;
 use limpid_tests::{
-    GradLimits, devices, directional_report, noise, tensor as tensor_of, tiny, values,
+    GradLimits, devices_in, directional_report, noise, tensor as tensor_of, tiny, values,
 };
 use trainer::settings::BlurKind;
 use trainer::{Model, Trainer};
@@ -94,7 +94,7 @@ fn check(model: BlurKind, own_terms: &[&str], iteration: usize) {
     settings.blur.model = model;
     settings.loss.downsample = 0.1;
     settings.gaussians.initial_static_per_pixel = 0.3;
-    for (name, device) in devices() {
+    for (name, device) in devices_in(DType::F64) {
         let mut trainer =
             Trainer::new(scene.clone(), settings.clone(), &device).expect("a trainer");
         for _ in 0..iteration {

@@ -55,6 +55,7 @@ impl<B: Backend> Predictor<B> {
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
+    Cube: cfg(feature = "cube"),
     Autodiff,
 )]
 pub(crate) trait BpNetOps: Backend {

@@ -1,6 +1,7 @@
 //! What kernels in main memory share: the float types they compute with ([`Real`]), the machine's vectors of them
 //! ([`Vectors`], [`vectorized`]), large buffers ([`filled`]), and, with the feature `burn`, the way from a backend's tensors to slices and back
-//! ([`HostBackend`]), and the question whether a tensor is all numbers ([`first_not_finite`]).
+//! ([`HostBackend`]), and the question whether a tensor is all numbers ([`first_not_finite`]). The feature `cube` adds
+//! what kernels on a GPU share.
 //!
 //! ```
 //! use host::{Real, vectorized};
@@ -17,6 +18,8 @@
 //! It stands below all crates of this workspace that have kernels, and knows none of them.
 
 mod buffers;
+#[cfg(feature = "cube")]
+pub mod cube;
 #[cfg(feature = "burn")]
 mod finite;
 mod real;

@@ -21,7 +21,7 @@ pub trait HostFloat: Real + Element {}
 impl HostFloat for f32 {}
 impl HostFloat for f64 {}
 
-/// A backend whose tensors lie in main memory: how to get at their elements.
+/// A backend whose tensors' elements can be had in main memory.
 pub trait HostBackend: Backend {
     /// The elements in order; borrowed where they lie so already.
     ///
@@ -73,6 +73,14 @@ impl HostBackend for burn::backend::NdArray {
             Some(values) => Cow::Borrowed(values),
             None => Cow::Owned(Self::into_elements(tensor.clone())),
         }
+    }
+}
+
+/// For ops that have no kernel for GPUs yet: their tensors come to main memory and go back.
+#[cfg(feature = "cube")]
+impl HostBackend for burn_cubecl::CubeBackend {
+    fn elements<T: HostFloat>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]> {
+        Cow::Owned(Self::into_elements(tensor.clone()))
     }
 }
 

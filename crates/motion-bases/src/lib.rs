@@ -18,6 +18,8 @@ mod backends;
 mod basis_init;
 mod clustering;
 mod cpu;
+#[cfg(feature = "cube")]
+mod cube;
 mod error;
 mod fit;
 mod init;

@@ -6,12 +6,13 @@ use burn::backend::{Backend, backend_extension, tensor::FloatTensor};
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
+    Cube: cfg(feature = "cube"),
     Autodiff,
 )]
 pub(crate) trait MotionOps: Backend {
     /// Means `[T, F, 3]` and behind them rotations `[T, F, 3, 3]`, flat.
     ///
-    /// `coefficients` are logits, `[F, B]`; `bases` are 6D vectors and translations at the moments, `[B, T * 9]`; `means` are
+    /// `coefficients` are logits, `[F, B]`; `bases` are 6D vectors and translations at the moments, `[B, T, 9]`; `means` are
     /// of the canonical frame, `[F, 3]`.
     fn moved(
         coefficients: FloatTensor<Self>,

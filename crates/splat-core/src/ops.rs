@@ -184,6 +184,7 @@ pub(crate) enum Collected<B: Backend> {
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
+    Cube: cfg(feature = "cube"),
     Autodiff,
 )]
 pub(crate) trait SplatOps: Backend {

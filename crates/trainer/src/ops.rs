@@ -29,6 +29,7 @@ pub(crate) struct DepthTargets<B: Backend> {
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
+    Cube: cfg(feature = "cube"),
 )]
 pub(crate) trait TrainerOps: Backend {
     /// One step of Adam, in the buffers that have no other owner.
@@ -62,6 +63,7 @@ pub(crate) trait TrainerOps: Backend {
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
+    Cube: cfg(feature = "cube"),
     Autodiff,
 )]
 pub(crate) trait ImageLossOps: Backend {

@@ -104,6 +104,8 @@ macro_rules! host_ops {
 host_ops!(burn::backend::Flex);
 #[cfg(feature = "ndarray")]
 host_ops!(burn::backend::NdArray);
+#[cfg(feature = "cube")]
+host_ops!(burn_cubecl::CubeBackend);
 
 /// Sizes of a field `[H, W, K * K + 1]`.
 fn blur_size<B: Backend>(field: &FloatTensor<B>) -> BlurSize {

@@ -133,6 +133,8 @@ macro_rules! host_ops {
 host_ops!(burn::backend::Flex);
 #[cfg(feature = "ndarray")]
 host_ops!(burn::backend::NdArray);
+#[cfg(feature = "cube")]
+host_ops!(burn_cubecl::CubeBackend);
 
 /// What the backward pass needs of a forward pass beside its inputs.
 #[derive(Debug)]

@@ -1,5 +1,5 @@
 //! Who computes the ops: kernels in main memory, and the graph around any backend.
 
 mod autodiff;
-#[cfg(any(feature = "flex", feature = "ndarray"))]
+#[cfg(any(feature = "flex", feature = "ndarray", feature = "cube"))]
 mod cpu;

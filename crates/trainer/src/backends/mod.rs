@@ -1,5 +1,5 @@
 //! The adapters between Burn's tensors and the slices that the kernels work on.
 
 mod autodiff;
-#[cfg(any(feature = "flex", feature = "ndarray"))]
+#[cfg(any(feature = "flex", feature = "ndarray", feature = "cube"))]
 mod cpu;
