@@ -48,6 +48,34 @@ pub enum SplatError {
         /// Number of pairs of a Gaussian and a tile.
         count: usize,
     },
+    /// A table would not fit into the device's buffers.
+    #[error(
+        "{table} need {bytes} bytes, but a buffer of this device holds {limit}: use fewer or smaller Gaussians, smaller pictures, or the CPU"
+    )]
+    TooLarge {
+        /// What the table holds.
+        table: &'static str,
+        /// Its size.
+        bytes: u64,
+        /// The largest that the device has.
+        limit: u64,
+    },
+    /// More features than the device's kernels can blend.
+    #[error(
+        "{found} features are to be blended, but this device blends {limit} at most: use the CPU"
+    )]
+    TooManyFeatures {
+        /// Number of features.
+        found: usize,
+        /// The largest number.
+        limit: usize,
+    },
+    /// The device does not answer.
+    #[error("the device failed: {reason}")]
+    Device {
+        /// What it said.
+        reason: String,
+    },
     /// Inputs mix float types, or are neither f32 nor f64.
     #[error(
         "{tensor} is {found}, but every input must have the same type, f32 or f64 (means: {expected})"

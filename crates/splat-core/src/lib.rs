@@ -32,6 +32,8 @@
 mod backends;
 mod camera;
 pub mod cpu;
+#[cfg(feature = "cube")]
+mod cube;
 mod error;
 #[cfg(feature = "burn")]
 mod expose;

@@ -118,6 +118,18 @@ pub(crate) enum PreparedView<B: Backend> {
         /// Radius of every Gaussian in the image, px, `[N]` in f32.
         radii: FloatTensor<B>,
     },
+    /// On a GPU.
+    #[cfg(feature = "cube")]
+    Device {
+        tables: Arc<crate::backends::cube::Tables>,
+        radii: FloatTensor<B>,
+    },
+    /// On a GPU, without a Gaussian.
+    #[cfg(feature = "cube")]
+    Blank {
+        camera: Camera,
+        radii: FloatTensor<B>,
+    },
 }
 
 impl<B: Backend> PreparedView<B> {
@@ -131,6 +143,16 @@ impl<B: Backend> PreparedView<B> {
                 projection,
                 radii: float(radii),
             },
+            #[cfg(feature = "cube")]
+            Self::Device { tables, radii } => PreparedView::Device {
+                tables,
+                radii: float(radii),
+            },
+            #[cfg(feature = "cube")]
+            Self::Blank { camera, radii } => PreparedView::Blank {
+                camera,
+                radii: float(radii),
+            },
         }
     }
 
@@ -138,6 +160,8 @@ impl<B: Backend> PreparedView<B> {
     pub(crate) fn radii(&self) -> FloatTensor<B> {
         match self {
             Self::Host { radii, .. } => radii.clone(),
+            #[cfg(feature = "cube")]
+            Self::Device { radii, .. } | Self::Blank { radii, .. } => radii.clone(),
         }
     }
 }

@@ -9,10 +9,11 @@ pub mod vec3;
 
 use burn::tensor::{DType, Shape};
 use burn_cubecl::kernel::into_contiguous;
-use burn_cubecl::ops::numeric::empty_device_contiguous_dtype;
+use burn_cubecl::ops::numeric::{empty_device_contiguous_dtype, full_device_dtype, zeros_client};
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::calculate_cube_count_elemwise;
-use cubecl::prelude::{Client, CubeCount, CubeDim};
+use cubecl::ir::UIntKind;
+use cubecl::prelude::{Client, CubeCount, CubeDim, ElemType, InputScalar};
 
 /// Units of a cube where nothing asks for another number.
 const UNITS: u32 = 128;
@@ -39,6 +40,29 @@ pub fn empty(like: &CubeTensor, shape: impl Into<Shape>, dtype: DType) -> CubeTe
         like.device.clone(),
         shape.into(),
         dtype,
+    )
+}
+
+/// A tensor of u32 beside another, all of one value.
+#[must_use]
+pub fn full(like: &CubeTensor, shape: impl Into<Shape>, value: u32) -> CubeTensor {
+    full_device_dtype(
+        like.client.clone(),
+        shape.into(),
+        like.device.clone(),
+        InputScalar::new(value, ElemType::UInt(UIntKind::U32)),
+        DType::U32,
+    )
+}
+
+/// A tensor of f32 beside another, all of them 0.
+#[must_use]
+pub fn zeros(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
+    zeros_client(
+        like.client.clone(),
+        like.device.clone(),
+        shape.into(),
+        DType::F32,
     )
 }
 

@@ -64,6 +64,10 @@ macro_rules! host_ops {
                 features: FloatTensor<Self>,
             ) -> Result<(FloatTensor<Self>, Self::Saved), SplatError> {
                 let (output, saved) = match view {
+                    #[cfg(feature = "cube")]
+                    PreparedView::Device { .. } | PreparedView::Blank { .. } => {
+                        unreachable!("a view stays on its device")
+                    }
                     PreparedView::Host {
                         projection: HostProjection::F32(projection),
                         ..
@@ -133,8 +137,6 @@ macro_rules! host_ops {
 host_ops!(burn::backend::Flex);
 #[cfg(feature = "ndarray")]
 host_ops!(burn::backend::NdArray);
-#[cfg(feature = "cube")]
-host_ops!(burn_cubecl::CubeBackend);
 
 /// What the backward pass needs of a forward pass beside its inputs.
 #[derive(Debug)]

@@ -10,7 +10,7 @@ use super::real::Real;
 use super::types::SplatSlices;
 
 /// Below this a quaternion's norm counts as this much: a zero quaternion is the identity.
-pub(super) const NORM_FLOOR: f64 = 1e-12;
+pub(crate) const NORM_FLOOR: f64 = 1e-12;
 
 /// What the projection of Gaussians reads.
 pub(super) struct Shapes<T: Real, S: Simd> {

@@ -9,7 +9,7 @@ use super::matrices::{mul3, pose_rotation};
 use super::packs::{Number, Pack, Where, array};
 use super::real::Real;
 use super::types::View;
-use crate::camera::CameraModel;
+use crate::camera::{Camera, CameraModel};
 use crate::error::SplatError;
 
 /// A pinhole's intrinsics and pose in the kernels' float type, and where the Jacobian is clamped.
@@ -39,12 +39,11 @@ impl<T: Real> Lens<T> {
                 row: k / 4,
             });
         }
-        view.check_camera()?;
+        view.camera.check()?;
         let c = &view.camera;
         // What the kernels compute; another model needs a lens of its own.
         let CameraModel::Pinhole = c.model;
-        let (w, h) = (c.width as f64, c.height as f64);
-        let margin = [0.3 * 0.5 * w / c.fx, 0.3 * 0.5 * h / c.fy];
+        let [min, max] = tangents(c);
         Ok(Self {
             fx: T::of(c.fx),
             fy: T::of(c.fy),
@@ -53,16 +52,20 @@ impl<T: Real> Lens<T> {
             near: T::of(c.near),
             size: [c.width, c.height],
             pose,
-            min: [
-                T::of(-c.cx / c.fx - margin[0]),
-                T::of(-c.cy / c.fy - margin[1]),
-            ],
-            max: [
-                T::of((w - c.cx) / c.fx + margin[0]),
-                T::of((h - c.cy) / c.fy + margin[1]),
-            ],
+            min: min.map(T::of),
+            max: max.map(T::of),
         })
     }
+}
+
+/// Least and largest x/z and y/z in the Jacobian.
+pub(crate) fn tangents(c: &Camera) -> [[f64; 2]; 2] {
+    let (w, h) = (c.width as f64, c.height as f64);
+    let margin = [0.3 * 0.5 * w / c.fx, 0.3 * 0.5 * h / c.fy];
+    [
+        [-c.cx / c.fx - margin[0], -c.cy / c.fy - margin[1]],
+        [(w - c.cx) / c.fx + margin[0], (h - c.cy) / c.fy + margin[1]],
+    ]
 }
 
 /// The ellipses of Gaussians in the image and what led to them.

@@ -45,3 +45,13 @@ pub use project::Projection;
 pub use raster::{Raster, RasterState};
 pub use transfer::Transfer;
 pub use types::{SplatSlices, View};
+
+/// What the kernels on a GPU share with these.
+#[cfg(feature = "cube")]
+pub(crate) use {
+    body::NORM_FLOOR,
+    geometry::tangents,
+    raster_backward::GEOMETRIC,
+    sh::{C0, C1, C2, C3},
+    transfer::{KNEE, LARGEST, TOE},
+};

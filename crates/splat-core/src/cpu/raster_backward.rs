@@ -16,7 +16,7 @@ use crate::camera::Camera;
 
 /// Geometric sums in a partial gradient, before its channels. With s = ∂L/∂sigma per pixel:
 /// Σ s p, Σ s p², Σ s p dy, Σ s dy, Σ s dy², Σ s.
-pub(super) const GEOMETRIC: usize = 6;
+pub(crate) const GEOMETRIC: usize = 6;
 
 /// The partial gradient of every slot: [slots, 6 + C] row-major, the geometric sums and then the gradients of the C
 /// channels that were blended.

@@ -18,11 +18,11 @@ pub enum Transfer {
 }
 
 /// Where sRGB's straight start ends, in values of the picture.
-const TOE: f64 = 0.04045;
+pub(crate) const TOE: f64 = 0.04045;
 /// Above this (white is 1) a curve goes on as its tangent: what no picture holds need not overflow.
-const KNEE: f64 = 4.0;
+pub(crate) const KNEE: f64 = 4.0;
 /// Values above this count as this.
-const LARGEST: f64 = 1e30;
+pub(crate) const LARGEST: f64 = 1e30;
 
 impl Transfer {
     /// Light of a value that is not negative, and the slope there.

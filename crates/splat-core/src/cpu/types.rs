@@ -133,10 +133,12 @@ impl View {
             sh_degree,
         }
     }
+}
 
-    /// The camera must be usable.
-    pub(super) fn check_camera(&self) -> Result<(), SplatError> {
-        let c = &self.camera;
+impl Camera {
+    /// It must be usable.
+    pub(crate) fn check(&self) -> Result<(), SplatError> {
+        let c = self;
         let bad = |reason: String| Err(SplatError::Camera { reason });
         let sides = 1..=65_535;
         if !sides.contains(&c.width) || !sides.contains(&c.height) {

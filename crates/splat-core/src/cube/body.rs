@@ -6,12 +6,12 @@ use host::cube::vec3::{Vec3, load, vec3};
 use super::matrices::{Mat3, load_matrix, mul3};
 use crate::cpu::NORM_FLOOR;
 
-const FLOOR: f32 = NORM_FLOOR as f32;
+pub(super) const FLOOR: f32 = NORM_FLOOR as f32;
 
 /// Numbers of a Gaussian in a table of shapes: mean 3, quaternion 4, logarithms of scales 3, logit of the opacity.
-pub(super) const SHAPE: usize = 11;
+pub(crate) const SHAPE: usize = 11;
 /// Numbers of a moving Gaussian in a sample: mean 3, and the matrix multiplied from the left of its rotation.
-pub(super) const MOVED: usize = 12;
+pub(crate) const MOVED: usize = 12;
 
 /// A quaternion of length 1, the divisor that made it, and whether that was more than the floor.
 #[derive(CubeType, CubeTypeMut, Clone, Copy)]

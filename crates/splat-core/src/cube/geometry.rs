@@ -4,7 +4,7 @@
 use cubecl::prelude::*;
 use host::cube::vec3::{Vec3, dot, scaled, sum, vec3};
 
-use super::body::Placed;
+use super::body::{FLOOR, Placed};
 use super::matrices::{Mat3, apply, mul3, pose_rotation};
 use crate::cpu::LOW_PASS;
 
@@ -42,7 +42,6 @@ pub(super) struct Geometry {
     pub(super) inside_x: bool,
     pub(super) inside_y: bool,
     pub(super) in_cam: Mat3,
-    pub(super) row0: Vec3,
     pub(super) row1: Vec3,
     pub(super) residual: Vec3,
     pub(super) xx: f32,
@@ -122,7 +121,6 @@ pub(super) fn project_one(lens: Lens, poses: &[f32], at: usize, p: Placed) -> Ge
         inside_x: (tan_x - slope_x).abs() < f32::MIN_POSITIVE,
         inside_y: (tan_y - slope_y).abs() < f32::MIN_POSITIVE,
         in_cam,
-        row0: m0,
         row1: m1,
         residual,
         xx,
@@ -153,10 +151,9 @@ pub(super) fn view_direction(pose: &[f32], mean: Vec3) -> Direction {
     );
     let d = sum(mean, back);
     // Normalised without leaving the range of the float type.
-    let floor = super::body::FLOOR;
-    let largest = floor.max(d.x.abs()).max(d.y.abs()).max(d.z.abs());
+    let largest = d.x.abs().max(d.y.abs()).max(d.z.abs()).max(FLOOR);
     let s = vec3(d.x / largest, d.y / largest, d.z / largest);
-    let length = dot(s, s).sqrt().max(floor);
+    let length = dot(s, s).sqrt().max(FLOOR);
     Direction {
         unit: vec3(s.x / length, s.y / length, s.z / length),
         length: length * largest,

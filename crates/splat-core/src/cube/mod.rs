@@ -6,16 +6,16 @@
 //! tile, counted item by item in depth order: an item's slots lie side by side, and partial gradients are summed from there in
 //! a fixed order, so that results have the same bits in every run.
 
-mod body;
+pub(crate) mod body;
 pub(crate) mod color;
 pub(crate) mod exposure;
-mod geometry;
+pub(crate) mod geometry;
 mod matrices;
 pub(crate) mod project;
 pub(crate) mod project_backward;
 pub(crate) mod raster;
 pub(crate) mod raster_backward;
 pub(crate) mod scan;
-pub(crate) mod sh;
+mod sh;
 pub(crate) mod sort;
 pub(crate) mod tiles;

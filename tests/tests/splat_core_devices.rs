@@ -1,0 +1,269 @@
+//! Renders and exposures in f32 on every device against f64 on the CPU, forward and back: generated scenes from a single
+//! Gaussian to lists of several batches a tile, with thin, huge, hidden and faint Gaussians among them.
+
+use burn::tensor::{DType, Device, Tensor};
+use limpid_tests::{devices, noise, tensor, values};
+use splat_core::{
+    Camera, Exposure, Extra, Movers, Splats, Transfer, Viewpoint, expose, prepare, rasterize,
+};
+
+/// A scene's inputs as matrices, by name.
+type Inputs = Vec<(&'static str, [usize; 2], Vec<f64>)>;
+
+/// Sizes of a case.
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    rows: usize,
+    moving: usize,
+    samples: usize,
+    width: usize,
+    height: usize,
+    sh_degree: usize,
+    features: usize,
+}
+
+const CASES: [Case; 4] = [
+    Case {
+        rows: 1,
+        moving: 1,
+        samples: 1,
+        width: 1,
+        height: 1,
+        sh_degree: 0,
+        features: 0,
+    },
+    Case {
+        rows: 5,
+        moving: 0,
+        samples: 2,
+        width: 19,
+        height: 17,
+        sh_degree: 1,
+        features: 1,
+    },
+    Case {
+        rows: 333,
+        moving: 40,
+        samples: 3,
+        width: 50,
+        height: 35,
+        sh_degree: 2,
+        features: 2,
+    },
+    Case {
+        rows: 3001,
+        moving: 1000,
+        samples: 5,
+        width: 33,
+        height: 49,
+        sh_degree: 3,
+        features: 0,
+    },
+];
+
+impl Case {
+    fn camera(&self) -> Camera {
+        let (w, h) = (self.width as f64, self.height as f64);
+        Camera::pinhole(
+            [self.width, self.height],
+            [w, 0.9 * w],
+            [0.45 * w, 0.55 * h],
+        )
+    }
+
+    /// Every eighth Gaussian is thin, huge, behind the camera or faint; scales shrink with their number.
+    fn inputs(&self) -> Inputs {
+        let n = self.rows;
+        let scaled = |count, seed, scale: f64, shift: f64| -> Vec<f64> {
+            let noise = noise(count, seed);
+            noise.iter().map(|v| v * scale + shift).collect()
+        };
+        let mut means = scaled(3 * n, 1, 1.5, 0.0);
+        means.iter_mut().skip(2).step_by(3).for_each(|z| *z += 4.0);
+        let mut log_scales = scaled(3 * n, 2, 0.7, -0.6 - (n as f64).ln() / 3.0);
+        let mut logits = scaled(n, 3, 2.0, 0.5);
+        for row in 1..n {
+            match row % 32 {
+                1 => log_scales[3 * row + 1] -= 5.0,
+                9 => log_scales[3 * row] += 2.5,
+                17 => means[3 * row + 2] = -1.0,
+                25 => logits[row] = -7.0,
+                _ => {}
+            }
+        }
+        let (s, c) = 0.1_f64.sin_cos();
+        let pose = vec![c, 0.0, s, 0.1, 0.0, 1.0, 0.0, -0.2, -s, 0.0, c, 0.3];
+        let around = |values: &[f64], count: usize, seed, scale: f64| -> Vec<f64> {
+            let noise = noise(count * values.len(), seed);
+            let moved = noise.iter().zip(values.iter().cycle());
+            moved.map(|(noise, v)| v + scale * noise).collect()
+        };
+        let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0].repeat(self.moving);
+        let moving = &means[..3 * self.moving];
+        let bands = (self.sh_degree + 1).pow(2) * 3;
+        let mut sh = scaled(n * bands, 4, 0.2, 0.0);
+        sh.chunks_exact_mut(bands)
+            .for_each(|row| row[..3].iter_mut().for_each(|v| *v += 0.6));
+        vec![
+            ("quats", [n, 4], scaled(4 * n, 5, 1.3, 0.1)),
+            ("log_scales", [n, 3], log_scales),
+            ("opacity_logits", [n, 1], logits),
+            ("sh", [n, bands], sh),
+            ("features", [n, self.features], noise(n * self.features, 6)),
+            (
+                "poses",
+                [self.samples, 12],
+                around(&pose, self.samples, 7, 0.02),
+            ),
+            (
+                "moving_means",
+                [self.samples, 3 * self.moving],
+                around(moving, self.samples, 8, 0.05),
+            ),
+            (
+                "left_rotations",
+                [self.samples, 9 * self.moving],
+                around(&identity, self.samples, 9, 0.1),
+            ),
+            ("cam_from_world", [3, 4], pose),
+            ("means", [n, 3], means),
+        ]
+    }
+
+    /// A render's output, or an exposure's picture, the radii, the gradients of all inputs, and the statistic of density control.
+    fn run(
+        &self,
+        device: &Device,
+        dtype: DType,
+        transfer: Option<Transfer>,
+    ) -> Vec<(String, Vec<f64>)> {
+        let inputs = self.inputs();
+        let tensors: Vec<Tensor<2>> = inputs
+            .iter()
+            .map(|(_, shape, values)| tensor(values, *shape, device, dtype).require_grad())
+            .collect();
+        let [
+            quats,
+            log_scales,
+            opacity_logits,
+            sh,
+            features,
+            poses,
+            moving,
+            left,
+            pose,
+            means,
+        ] = std::array::from_fn(|k| tensors[k].clone());
+        let rows_of = |sample: usize, width: usize, table: &Tensor<2>| {
+            let row = table.clone().slice_dim(0, sample..sample + 1);
+            row.reshape([self.moving, width])
+        };
+        let mut splats = Splats {
+            means,
+            quats,
+            left_rotations: None,
+            log_scales,
+            opacity_logits,
+            sh,
+        };
+        let view = Viewpoint {
+            camera: self.camera(),
+            cam_from_world: pose,
+            sh_degree: self.sh_degree,
+        };
+        let screen = Tensor::<1>::zeros([self.rows], (device, dtype)).require_grad();
+        let (output, radii): (Tensor<3>, Tensor<1>) = match transfer {
+            None => {
+                splats.left_rotations =
+                    (self.moving > 0).then(|| rows_of(0, 9, &left).reshape([self.moving, 3, 3]));
+                let prepared = prepare(&splats, &view).expect("a view");
+                let extra = Extra {
+                    features: (self.features > 0).then_some(features),
+                    screen_grad: Some(screen.clone()),
+                };
+                let pose = view.cam_from_world;
+                let rendered = rasterize(&prepared, splats, pose, extra).expect("a render");
+                (rendered.output().clone(), rendered.radii())
+            }
+            Some(transfer) => {
+                let (n, f) = (self.samples, self.moving);
+                let exposure = Exposure {
+                    poses: poses.reshape([n, 3, 4]),
+                    movers: (f > 0).then(|| Movers {
+                        means: moving.reshape([n, f, 3]),
+                        left_rotations: left.reshape([n, f, 3, 3]),
+                    }),
+                    transfer,
+                };
+                let exposed =
+                    expose(splats, &view, exposure, Some(screen.clone())).expect("a picture");
+                (exposed.color, exposed.radii)
+            }
+        };
+        let weights = noise(output.dims().iter().product(), 10);
+        let weights = tensor(&weights, output.dims(), device, dtype);
+        let mut found = vec![
+            ("output".to_owned(), values(output.clone())),
+            ("radii".to_owned(), values(radii)),
+        ];
+        let gradients = (output * weights).sum().backward();
+        for ((name, ..), tensor) in inputs.iter().zip(&tensors) {
+            let gradient = tensor.grad(&gradients).map(values).unwrap_or_default();
+            found.push((format!("gradient of {name}"), gradient));
+        }
+        let statistic = screen.grad(&gradients).map(values).unwrap_or_default();
+        found.push(("statistic of density control".to_owned(), statistic));
+        found
+    }
+}
+
+/// Size of a difference against the size of what it is from; and whether both are all numbers.
+fn distance(found: &[f64], exact: &[f64]) -> f64 {
+    assert_eq!(found.len(), exact.len(), "as many values");
+    let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|x| x * x).sum::<f64>().sqrt();
+    let error = norm(&mut found.iter().zip(exact).map(|(a, b)| a - b));
+    let size = norm(&mut exact.iter().copied());
+    if size == 0.0 { error } else { error / size }
+}
+
+#[test]
+fn single_precision_on_every_device_follows_double_on_the_cpu() {
+    for case in CASES {
+        let transfers = [
+            None,
+            Some(Transfer::Srgb),
+            Some(Transfer::Power(2.2)),
+            Some(Transfer::Linear),
+        ];
+        for transfer in transfers {
+            let exact = case.run(&Device::flex().autodiff(), DType::F64, transfer);
+            for (name, device) in devices() {
+                let found = case.run(&device.clone().autodiff(), DType::F32, transfer);
+                for ((what, found), (_, exact)) in found.iter().zip(&exact) {
+                    let error = distance(found, exact);
+                    // A threshold that falls the other way in f32 changes single pixels.
+                    let limit = if what == "output" || what == "radii" {
+                        1e-5
+                    } else {
+                        2e-4
+                    };
+                    assert!(
+                        error < limit,
+                        "{name}, {case:?}, {transfer:?}: {what} is off by {error:e}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_same_scene_gives_the_same_bits_again() {
+    let [.., case] = CASES;
+    for (name, device) in devices() {
+        let run = || case.run(&device.clone().autodiff(), DType::F32, Some(Transfer::Srgb));
+        for ((what, first), (_, second)) in run().into_iter().zip(run()) {
+            assert!(first == second, "{name}: {what} has other bits");
+        }
+    }
+}
