@@ -15,13 +15,15 @@ use burn::tensor::Tensor;
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
+    Cube: cfg(feature = "cube"),
 )]
 pub(crate) trait FiniteOps: Backend {
-    /// Number of values that are infinite or not a number, `[1]`.
+    /// Numbers of values that are infinite or not a number, one for each part that the backend counts by itself.
     fn count_not_finite(values: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
-/// Number of elements that are infinite or not a number, `[1]`: on the device, without a graph.
+/// Numbers of elements that are infinite or not a number, one for each part that the device counts by itself: on the device,
+/// without a graph.
 ///
 /// # Panics
 /// Panics if the dtype is neither f32 nor f64; so do the other two.
@@ -34,7 +36,11 @@ pub fn count_not_finite<const D: usize>(tensor: &Tensor<D>) -> Tensor<1> {
 /// Whether all counts of [`count_not_finite`] are zero: the device is waited for once.
 #[must_use]
 pub fn all_zero(counts: Vec<Tensor<1>>) -> bool {
-    counts.is_empty() || Tensor::cat(counts, 0).sum().into_scalar::<f64>() == 0.0
+    if counts.is_empty() {
+        return true;
+    }
+    let counts = Tensor::cat(counts, 0).into_data();
+    counts.iter::<f64>().all(|count| count == 0.0)
 }
 
 /// Position, in row-major order, and value of the first element that is infinite or not a number.
@@ -88,6 +94,40 @@ mod cpu {
     host_ops!(burn::backend::Flex);
     #[cfg(feature = "ndarray")]
     host_ops!(burn::backend::NdArray);
+}
+
+#[cfg(feature = "cube")]
+mod gpu {
+    use burn::backend::tensor::FloatTensor;
+    use burn::tensor::DType;
+    use burn_cubecl::CubeBackend;
+
+    use super::FiniteOps;
+    use crate::cube::finite::{TEAM, count_kernel, parts};
+    use crate::cube::{cubes, empty, flat};
+    use crate::tensor;
+
+    impl FiniteOps for CubeBackend {
+        fn count_not_finite(values: FloatTensor<Self>) -> FloatTensor<Self> {
+            let values = flat(values);
+            let number = values.meta.num_elements();
+            if number == 0 {
+                return tensor::<f32, Self>(vec![0.0], [1], &values);
+            }
+            let parts = parts(number);
+            let counts = empty(&values, [parts], DType::F32);
+            let client = values.client.clone();
+            let (count, dim) = cubes(&client, parts, TEAM);
+            count_kernel::launch(
+                &client,
+                count,
+                dim,
+                values.into_buffer_arg(),
+                counts.clone().into_buffer_arg(),
+            );
+            counts
+        }
+    }
 }
 
 #[cfg(all(test, feature = "flex"))]

@@ -249,7 +249,7 @@ pub fn adam_step(
     let (autodiff, device, dtype) = (param.is_autodiff(), param.device().inner(), param.dtype());
     // What stays behind must not hold the buffer, or it would be copied.
     let take = |tensor: &mut Tensor<2>| {
-        let placeholder = Tensor::zeros([1, 1], (&device, dtype));
+        let placeholder = Tensor::empty([1, 1], (&device, dtype));
         std::mem::replace(tensor, placeholder)
             .inner()
             .into_dispatch()

@@ -37,6 +37,8 @@ mod brightness;
 mod checkpoint;
 mod corrections;
 mod cpu;
+#[cfg(feature = "cube")]
+mod cube;
 mod dynamics;
 mod error;
 mod lifting;

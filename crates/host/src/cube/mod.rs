@@ -1,5 +1,6 @@
 //! What kernels on a GPU share: tensors as they read and write them, and how many units they take.
 
+pub(crate) mod finite;
 #[allow(
     missing_docs,
     missing_debug_implementations,

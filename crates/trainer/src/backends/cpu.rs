@@ -76,8 +76,6 @@ macro_rules! host_ops {
 host_ops!(burn::backend::Flex);
 #[cfg(feature = "ndarray")]
 host_ops!(burn::backend::NdArray);
-#[cfg(feature = "cube")]
-host_ops!(burn_cubecl::CubeBackend);
 
 fn adam_on<T: HostFloat, B: HostBackend>(
     tensors: AdamTensors<B>,

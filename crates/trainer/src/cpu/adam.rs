@@ -5,21 +5,21 @@ use host::{Real, vectorized};
 use rayon::prelude::*;
 
 /// Decays of the two moments, as in 3D Gaussian Splatting.
-const BETAS: [f64; 2] = [0.9, 0.999];
+pub(crate) const BETAS: [f64; 2] = [0.9, 0.999];
 
 /// Added to the root of the second moment.
-const EPSILON: f64 = 1e-15;
+pub(crate) const EPSILON: f64 = 1e-15;
 
 /// Gradients beyond this magnitude count as this much. Its square stays far inside f32: an infinite
 /// second moment would never decay, and the element would stand still for ever.
-const LARGEST_GRADIENT: f64 = 1e15;
+pub(crate) const LARGEST_GRADIENT: f64 = 1e15;
 
 /// First moments below this magnitude are zero: they move nothing, and would decay into denormal
 /// numbers, which are slow, and stay there.
-const SMALLEST_FIRST: f64 = 1e-30;
+pub(crate) const SMALLEST_FIRST: f64 = 1e-30;
 
 /// Second moments below this are zero: their root vanishes beside epsilon.
-const SMALLEST_SECOND: f64 = 1e-37;
+pub(crate) const SMALLEST_SECOND: f64 = 1e-37;
 
 /// SteppedRows that step, and how often they have then done so.
 #[derive(Clone, Debug)]
@@ -76,9 +76,14 @@ pub(crate) fn adam<T: Real>(
     }
 }
 
+/// 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t) after so many steps.
+pub(crate) fn corrections(steps: u32) -> [f64; 2] {
+    let [first, second] = BETAS.map(|beta| 1.0 - beta.powf(f64::from(steps)));
+    [1.0 / first, 1.0 / second.sqrt()]
+}
+
 /// What all elements of a step share.
 struct Constants<T> {
-    /// 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t).
     corrections: [T; 2],
     decay: [T; 2],
     share: [T; 2],
@@ -89,9 +94,8 @@ struct Constants<T> {
 
 impl<T: Real> Constants<T> {
     fn new(steps: u32) -> Self {
-        let [first, second] = BETAS.map(|beta| 1.0 - beta.powf(f64::from(steps)));
         Self {
-            corrections: [T::of(1.0 / first), T::of(1.0 / second.sqrt())],
+            corrections: corrections(steps).map(T::of),
             decay: BETAS.map(T::of),
             share: BETAS.map(|beta| T::of(1.0 - beta)),
             epsilon: T::of(EPSILON),

@@ -3,22 +3,25 @@
 use host::Real;
 
 /// Pixels with a rendered alpha up to this have no depth worth comparing.
-const OPAQUE: f64 = 0.5;
+pub(crate) const OPAQUE: f64 = 0.5;
 
 /// Depths below this part of the scene size count as this much before they are inverted.
 pub(crate) const NEAREST: f64 = 0.05;
 
 /// Below this many pixels no scale and shift are fitted.
-const FEWEST: usize = 32;
+pub(crate) const FEWEST: usize = 32;
 
 /// More pixels than this do not make the fit better: an even sample is taken.
-const SAMPLE: usize = 8192;
+pub(crate) const SAMPLE: usize = 8192;
 
 /// A fit with a scale beyond this factor, either way, is not believed.
-const LARGEST_SCALE: f64 = 2.0;
+pub(crate) const LARGEST_SCALE: f64 = 2.0;
 
 /// Residuals well under this, in disparity times S, weigh in full; far above it pixels hardly count (Cauchy's weights).
-const TOLERANCE: f64 = 0.02;
+pub(crate) const TOLERANCE: f64 = 0.02;
+
+/// How often the weights are found anew.
+pub(crate) const ROUNDS: usize = 10;
 
 /// The disparity that an estimator should have given is `scale * given + shift`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +58,7 @@ pub fn fit_disparity(given: &[f64], wanted: &[f64]) -> DisparityFit {
     let stride = given.len().div_ceil(SAMPLE);
     let pairs = || given.iter().zip(wanted).step_by(stride);
     let mut fit = DisparityFit::IDENTITY;
-    for _ in 0..10 {
+    for _ in 0..ROUNDS {
         let weight = |x: f64, y: f64| {
             let residual = (y - fit.scale * x - fit.shift) / TOLERANCE;
             1.0 / (1.0 + residual * residual)

@@ -37,8 +37,8 @@ pub(crate) fn mask_weights<T: Real>(
         .collect()
 }
 
-const INSIDE: u8 = 1;
-const OUTSIDE: u8 = 2;
+pub(crate) const INSIDE: u8 = 1;
+pub(crate) const OUTSIDE: u8 = 2;
 
 /// Which sides of the mask occur within `band` pixels of each pixel: bits, [H, W].
 fn sides_within(target: &[f32], width: usize, height: usize, band: usize) -> Vec<u8> {

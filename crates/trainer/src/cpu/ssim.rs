@@ -10,16 +10,16 @@ use rayon::prelude::*;
 
 /// Pixels between the window's centre and its edge.
 pub(crate) const WINDOW_EDGE: usize = 5;
-const TAPS: usize = 2 * WINDOW_EDGE + 1;
+pub(crate) const TAPS: usize = 2 * WINDOW_EDGE + 1;
 const SIGMA: f64 = 1.5;
-const C1: f64 = 1e-4;
-const C2: f64 = 9e-4;
+pub(crate) const C1: f64 = 1e-4;
+pub(crate) const C2: f64 = 9e-4;
 
 /// What is kept of every pixel and channel: SSIM and its derivatives by m, p and r.
 const LANES: usize = 4;
 
 /// Samples of a pixel.
-const CHANNELS: usize = 3;
+pub(crate) const CHANNELS: usize = 3;
 
 /// Mean absolute difference and mean SSIM of two pictures [H, W, 3], each times its weight; and the gradient by `a`, if
 /// wanted.
@@ -52,7 +52,7 @@ pub(crate) fn ssim_map<T: Real>(a: &[T], b: &[T], width: usize, height: usize) -
 }
 
 /// The normalised window along one axis.
-fn window<T: Real>() -> [T; TAPS] {
+pub(crate) fn window<T: Real>() -> [T; TAPS] {
     let weight = |k: usize| {
         let x = k as f64 - WINDOW_EDGE as f64;
         (-x * x / (2.0 * SIGMA * SIGMA)).exp()

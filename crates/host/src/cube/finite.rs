@@ -1,0 +1,50 @@
+//! How many values are infinite or not numbers.
+
+use cubecl::prelude::*;
+
+/// Units of a cube.
+pub(crate) const TEAM: usize = 256;
+
+/// Values that a unit looks at before there is a cube more.
+const EACH: usize = 8;
+
+/// Cubes at most; they go through what is left in turns.
+const MOST: usize = 64;
+
+/// The bits of an exponent. All are set in what is infinite or not a number: a comparison of floats may not say so, since
+/// compilers for GPUs are free to take all to be numbers.
+const EXPONENT: u32 = 0x7f80_0000;
+
+/// Cubes that count so many values.
+pub(crate) fn parts(values: usize) -> usize {
+    values.div_ceil(TEAM * EACH).clamp(1, MOST)
+}
+
+/// What each cube counts.
+#[cube(launch)]
+pub(crate) fn count_kernel(values: &[f32], counts: &mut [f32]) {
+    let mut shared = Shared::<[u32]>::new_slice(TEAM);
+    let unit = UNIT_POS as usize;
+    let mut own = 0u32;
+    let mut at = CUBE_POS * TEAM + unit;
+    while at < values.len() {
+        if values[at].to_bits() & EXPONENT == EXPONENT {
+            own += 1;
+        }
+        at += counts.len() * TEAM;
+    }
+    shared[unit] = own;
+    sync_cube();
+    #[unroll]
+    for level in 1..=TEAM.ilog2() {
+        let half = comptime!(TEAM >> level);
+        if unit < half {
+            let other = shared[unit + half];
+            shared[unit] += other;
+        }
+        sync_cube();
+    }
+    if unit == 0 && CUBE_POS < counts.len() {
+        counts[CUBE_POS] = shared[0] as f32;
+    }
+}

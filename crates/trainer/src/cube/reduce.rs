@@ -1,0 +1,146 @@
+//! What is asked about whole tensors, and what other kernels add up.
+
+use cubecl::prelude::*;
+
+use host::cube::vec3::{Vec3, vec3};
+
+/// Units of a cube that add up together.
+pub(crate) const TEAM: usize = 256;
+
+/// Numbers that each unit adds up first.
+const EACH: usize = 8;
+
+/// Samples of a cube.
+pub(crate) const BLOCK: usize = TEAM * EACH;
+
+/// The sum of one number of each unit of a cube; `shared` has one entry per unit.
+#[cube]
+pub(super) fn total(shared: &mut [f32], own: f32) -> f32 {
+    let unit = UNIT_POS as usize;
+    shared[unit] = own;
+    sync_cube();
+    #[unroll]
+    for level in 1..=TEAM.ilog2() {
+        let half = comptime!(TEAM >> level);
+        if unit < half {
+            let other = shared[unit + half];
+            shared[unit] += other;
+        }
+        sync_cube();
+    }
+    shared[0]
+}
+
+/// The sum of three numbers of each unit of a cube; `shared` has three entries per unit, and may be written again at once.
+#[cube]
+pub(super) fn total3(shared: &mut [f32], own: Vec3) -> Vec3 {
+    let unit = UNIT_POS as usize;
+    shared[unit] = own.x;
+    shared[TEAM + unit] = own.y;
+    shared[2 * TEAM + unit] = own.z;
+    sync_cube();
+    #[unroll]
+    for level in 1..=TEAM.ilog2() {
+        let half = comptime!(TEAM >> level);
+        if unit < half {
+            #[unroll]
+            for lane in 0..3 {
+                let other = shared[lane * TEAM + unit + half];
+                shared[lane * TEAM + unit] += other;
+            }
+        }
+        sync_cube();
+    }
+    let sums = vec3(shared[0], shared[TEAM], shared[2 * TEAM]);
+    sync_cube();
+    sums
+}
+
+/// The sum of the numbers of the units before each; `shared` has one entry per unit, and the last is then the sum of all.
+#[cube]
+pub(super) fn before(shared: &mut [u32], own: u32) -> u32 {
+    let unit = UNIT_POS as usize;
+    shared[unit] = own;
+    sync_cube();
+    #[unroll]
+    for level in 0..TEAM.ilog2() {
+        let reach = comptime!(1usize << level);
+        let mut other = 0u32;
+        if unit >= reach {
+            other = shared[unit - reach];
+        }
+        sync_cube();
+        shared[unit] += other;
+        sync_cube();
+    }
+    shared[unit] - own
+}
+
+/// The sums of rows of `terms` [rows, n]: a cube for each.
+#[cube(launch)]
+pub(crate) fn sums_kernel(terms: &[f32], sums: &mut [f32]) {
+    let mut shared = Shared::<[f32]>::new_slice(TEAM);
+    let length = terms.len() / sums.len();
+    let mut sum = 0.0f32;
+    if CUBE_POS < sums.len() {
+        let mut at = UNIT_POS as usize;
+        while at < length {
+            sum += terms[CUBE_POS * length + at];
+            at += TEAM;
+        }
+    }
+    let sum = total(&mut shared, sum);
+    if UNIT_POS == 0 && CUBE_POS < sums.len() {
+        sums[CUBE_POS] = sum;
+    }
+}
+
+/// Differences beyond this are scaled before they are squared, so that the square stays inside f32.
+const LARGE: f32 = 1e9;
+
+/// By how much: a power of two, and no product of numbers inside f32 falls below it.
+pub(crate) const LARGE_SCALE: f32 = 1.0 / (1_u128 << 90) as f32;
+
+/// Sums of squared differences of [`BLOCK`] samples each of two pictures [H, W, 3], [2, blocks]: of the small differences, and
+/// of the large ones times [`LARGE_SCALE`]. With `masked`, of the pixels whose bit is set in `valid`.
+#[cube(launch)]
+pub(crate) fn squared_error_kernel(
+    a: &[f32],
+    b: &[f32],
+    valid: &[u32],
+    terms: &mut [f32],
+    #[comptime] masked: bool,
+) {
+    let mut shared = Shared::<[f32]>::new_slice(TEAM);
+    let mut shared_large = Shared::<[f32]>::new_slice(TEAM);
+    let mut small = 0.0f32;
+    let mut large = 0.0f32;
+    let mut at = CUBE_POS * BLOCK + UNIT_POS as usize;
+    for _ in 0..EACH {
+        if at < a.len() {
+            let mut counts = true;
+            if masked {
+                let pixel = at / 3;
+                let bit = (pixel % 32) as u32;
+                counts = (valid[pixel / 32] >> bit) & 1 == 1;
+            }
+            if counts {
+                let difference = a[at] - b[at];
+                if difference.abs() > LARGE {
+                    let scaled = difference * LARGE_SCALE;
+                    large += scaled * scaled;
+                } else {
+                    small += difference * difference;
+                }
+            }
+        }
+        at += TEAM;
+    }
+    let small = total(&mut shared, small);
+    let large = total(&mut shared_large, large);
+    let blocks = terms.len() / 2;
+    if UNIT_POS == 0 && CUBE_POS < blocks {
+        terms[CUBE_POS] = small;
+        terms[blocks + CUBE_POS] = large;
+    }
+}
