@@ -30,13 +30,17 @@ pub fn devices() -> Vec<(&'static str, Device)> {
         ("ndarray", ndarray()),
     ];
     #[cfg(feature = "wgpu")]
-    devices.extend(gpu().map(|device| ("wgpu", device)));
+    devices.extend(gpu().map(|gpu| ("wgpu", gpu.device.clone())));
     if let Ok(wanted) = std::env::var("LIMPID_BACKENDS") {
         devices.retain(|(name, _)| wanted.split(',').any(|w| w == *name));
-        assert!(
-            !devices.is_empty(),
-            "no backend of LIMPID_BACKENDS={wanted} is compiled in"
-        );
+        if devices.is_empty() && cfg!(feature = "wgpu") && wanted == "wgpu" {
+            skipped(&test_name(), "wgpu finds no adapter on this machine");
+        } else {
+            assert!(
+                !devices.is_empty(),
+                "no backend of LIMPID_BACKENDS={wanted} is compiled in"
+            );
+        }
     }
     devices
 }
@@ -55,15 +59,44 @@ pub fn computes(name: &str, device: &Device, dtype: DType) -> bool {
     static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     let computes = device.supports_dtype(dtype);
     if !computes {
-        let thread = std::thread::current();
-        let test = thread.name().unwrap_or("a test");
-        let why = format!("{name} does not compute in {dtype:?}");
+        let (test, why) = (test_name(), format!("{name} does not compute in {dtype:?}"));
         let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
         if said.insert(format!("{test}: {why}")) {
-            skipped(test, &why);
+            skipped(&test, &why);
         }
     }
     computes
+}
+
+/// Those of [`devices`] on which thousands of small operations do not take minutes: not a GPU that a CPU plays.
+#[must_use]
+pub fn quick_devices() -> Vec<(&'static str, Device)> {
+    let mut devices = devices();
+    devices.retain(|(name, _)| {
+        let is_slow = is_software(name);
+        if is_slow {
+            skipped(&test_name(), "too many steps for a GPU that a CPU plays");
+        }
+        !is_slow
+    });
+    devices
+}
+
+/// Whether a backend's device is a GPU that a CPU plays.
+#[cfg(feature = "wgpu")]
+fn is_software(name: &str) -> bool {
+    name == "wgpu" && gpu().is_some_and(|gpu| gpu.is_software)
+}
+
+/// Whether a backend's device is a GPU that a CPU plays.
+#[cfg(not(feature = "wgpu"))]
+fn is_software(_: &str) -> bool {
+    false
+}
+
+/// The test that runs: the harness names its thread so.
+fn test_name() -> String {
+    std::thread::current().name().unwrap_or("a test").to_owned()
 }
 
 /// Says that a test, or a part of it, could not run and why: on a line of its own past the test harness, which would keep it.
@@ -79,14 +112,28 @@ fn ndarray() -> Device {
     Device::ndarray()
 }
 
-/// The adapter that wgpu would take, a GPU before a CPU that plays one.
+/// The adapter that `--backend wgpu` takes: a GPU before a CPU that plays one.
 #[cfg(feature = "wgpu")]
-fn gpu() -> Option<Device> {
-    use burn::tensor::DeviceType;
-    Device::enumerate(DeviceType::Wgpu)
-        .into_vec()
-        .into_iter()
-        .next()
+fn gpu() -> Option<&'static trainer::Gpu> {
+    use std::sync::OnceLock;
+    static FOUND: OnceLock<Option<trainer::Gpu>> = OnceLock::new();
+    let found = FOUND.get_or_init(|| {
+        let mut found = trainer::Gpu::found().into_iter();
+        let gpu = found.find(|gpu| gpu.runtime == "wgpu")?;
+        let played = if gpu.is_software {
+            ", played by the CPU"
+        } else {
+            ""
+        };
+        let line = format!(
+            "adapter: {}{played}
+",
+            gpu.name
+        );
+        std::io::stderr().write_all(line.as_bytes()).ok();
+        Some(gpu)
+    });
+    found.as_ref()
 }
 
 /// A tensor of these values, rounded to `dtype`.

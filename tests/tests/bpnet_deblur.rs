@@ -3,7 +3,7 @@
 
 use bpnet::{BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, cell_means, composite};
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use limpid_tests::devices;
+use limpid_tests::quick_devices;
 
 const SIZE: usize = 40;
 /// The frames are cut out of a larger picture, so that blur carries light over their borders.
@@ -242,23 +242,21 @@ fn scene() -> (Vec<f64>, Vec<Vec<f64>>, Vec<f64>) {
 }
 
 /// The CPU backend that trains. (On the other the same kernels run, and each test of their values.)
-fn device() -> Device {
-    let (_, device) = devices()
-        .into_iter()
-        .next()
-        .expect("a backend is compiled in");
-    device
+fn device() -> Option<Device> {
+    let mut quick = quick_devices().into_iter();
+    quick.next().map(|(_, device)| device)
 }
 
 #[test]
 fn known_blur_is_taken_out_and_the_intensity_neither_dies_nor_saturates() {
+    let Some(device) = device() else { return };
     let (sharp, frames, mean) = scene();
     let recipe = Recipe {
         steps: 500,
         gauge: 0.1,
         off_center: 0.0,
     };
-    let outcome = learn(&frames, &mean, &recipe, &device());
+    let outcome = learn(&frames, &mean, &recipe, &device);
     let (before, after) = (psnr(&mean, &sharp), psnr(&outcome.picture, &sharp));
     let figures = format!(
         "{before:.2} dB before, {after:.2} dB after, m {:.2?}, shift {:.3?} px",
@@ -275,6 +273,7 @@ fn known_blur_is_taken_out_and_the_intensity_neither_dies_nor_saturates() {
 
 #[test]
 fn the_gauge_takes_a_common_shift_of_the_kernels_out() {
+    let Some(device) = device() else { return };
     let (_, frames, mean) = scene();
     let shift = |gauge: f64| {
         let recipe = Recipe {
@@ -282,7 +281,7 @@ fn the_gauge_takes_a_common_shift_of_the_kernels_out() {
             gauge,
             off_center: 1.0,
         };
-        learn(&frames, &mean, &recipe, &device()).shift
+        learn(&frames, &mean, &recipe, &device).shift
     };
     let (with, without) = (shift(0.1), shift(0.0));
     eprintln!("shift with the gauge {with:.3?} px, without {without:.3?} px");

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use capture::{Capture, samples};
-use limpid_tests::{devices, noise, tensor, values};
+use limpid_tests::{noise, quick_devices, tensor, values};
 use splat_core::{Camera, Exposure, Splats, Transfer, Viewpoint, expose};
 use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 
@@ -68,7 +68,7 @@ fn picture(capture: &Capture, splats: &Splats, count: usize, jitter: [f64; 2]) -
 
 #[test]
 fn path_focus_and_aperture_are_found_back() {
-    for (name, device) in devices() {
+    for (name, device) in quick_devices() {
         let device = device.autodiff();
         let f32s = |values: &[f64], shape| tensor(values, shape, &device, DType::F32);
         let splats = splats(&device);

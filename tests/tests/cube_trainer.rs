@@ -12,20 +12,17 @@ fn rounded(values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| f64::from(*v as f32)).collect()
 }
 
-/// Says how far `found` is from `expected` and demands that it is no further than `tolerance`, relative to the largest value.
+/// Demands that `found` is no further from `expected` than `tolerance`, relative to the largest value.
 fn close(what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
     assert_eq!(found.len(), expected.len(), "{what}");
     let largest = expected.iter().fold(1e-30_f64, |max, v| max.max(v.abs()));
-    let mut worst = 0.0_f64;
     for (k, (f, e)) in found.iter().zip(expected).enumerate() {
         let error = (f - e).abs() / largest;
         assert!(
             error <= tolerance,
             "{what}: {f} instead of {e} at {k}, off by {error:e} of {largest:e}"
         );
-        worst = worst.max(error);
     }
-    println!("{what}: {worst:.1e} of {tolerance:.0e}");
 }
 
 /// A loss of a tensor and its gradient.

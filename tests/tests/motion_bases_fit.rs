@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DQuat, DVec3};
-use limpid_tests::{GradLimits, check_gradients, devices, devices_in, in_pool};
+use limpid_tests::{GradLimits, check_gradients, devices_in, in_pool, quick_devices};
 use motion_bases::{
     Fit, FitCamera, FitData, InitOptions, MotionBases, MotionError, MotionInit, Tracks3d, fit_loss,
     initialize, positions_all_frames,
@@ -176,7 +176,7 @@ impl Fitting {
 
 #[test]
 fn two_movers_are_recovered_and_the_fit_improves_them() {
-    for (name, device) in devices() {
+    for (name, device) in quick_devices() {
         let device = device.autodiff();
         // The noise has a mean length of about 0.96 times its size.
         for noise in [0.0, 0.01, 0.03] {
@@ -317,7 +317,7 @@ fn the_loss_has_the_right_gradient() {
 
 #[test]
 fn thin_data_can_be_fitted() {
-    for (name, device) in devices() {
+    for (name, device) in quick_devices() {
         let device = device.autodiff();
         for (tracks_each, frames) in [(1, 1), (1, 2), (2, 3), (1, 6), (30, 2)] {
             let mut scene = two_movers(tracks_each, frames, 0.0);
@@ -353,7 +353,7 @@ fn thin_data_can_be_fitted() {
 
 #[test]
 fn tracks_dealt_into_groups_are_all_fitted() {
-    for (name, device) in devices() {
+    for (name, device) in quick_devices() {
         let device = device.autodiff();
         // 40,000 entries: two groups, taken in turn.
         let scene = two_movers(2500, 8, 0.01);
@@ -415,7 +415,7 @@ fn wrong_cameras_are_refused() {
 
 #[test]
 fn the_fit_has_the_same_bits_with_one_thread_and_with_two() {
-    for (name, device) in devices() {
+    for (name, device) in quick_devices() {
         let device = device.autodiff();
         let run = |threads| {
             in_pool(threads, || {

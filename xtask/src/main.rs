@@ -27,7 +27,8 @@ cargo xtask COMMAND
   bare           test splat-core without Burn
   test           all tests: cargo test --workspace
   ndarray        the tests of tensor code on the second CPU backend
-  ci             fmt, clippy, doc, bare, test and ndarray, one after the other
+  test-gpu       the tests of tensor code on wgpu: on a GPU, or on one that a CPU plays
+  ci             fmt, clippy, doc, bare, test, ndarray and test-gpu, one after the other
 ";
 
 /// What `numerics` starts.
@@ -60,7 +61,7 @@ type Step = (
 
 /// The steps of `ci`, in their order. Where Burn is compiled, always the whole workspace: with `--package`, cargo would give
 /// the crates below it other features, and compile it again.
-const STEPS: [Step; 6] = [
+const STEPS: [Step; 8] = [
     ("fmt", &["fmt", "--all", "--check"], NOTHING),
     (
         "clippy",
@@ -96,6 +97,32 @@ const STEPS: [Step; 6] = [
             "*",
         ],
         ("LIMPID_BACKENDS", "ndarray"),
+    ),
+    (
+        "clippy-gpu",
+        &[
+            "clippy",
+            "--workspace",
+            "--all-targets",
+            "--features",
+            "limpid-tests/wgpu,limpid/wgpu",
+            "--",
+            "-D",
+            "warnings",
+        ],
+        NOTHING,
+    ),
+    (
+        "test-gpu",
+        &[
+            "test",
+            "--workspace",
+            "--features",
+            "limpid-tests/wgpu,limpid/wgpu",
+            "--test",
+            "*",
+        ],
+        ("LIMPID_BACKENDS", "wgpu"),
     ),
 ];
 
@@ -167,6 +194,9 @@ fn ci(steps: &[Step]) -> ExitCode {
         if !variable.is_empty() {
             command.env(variable, value);
         }
+        if *name == "test-gpu" {
+            offer_software_gpu(&mut command);
+        }
         let started = Instant::now();
         eprintln!("ci: {name}: cargo {}", args.join(" "));
         match watch(command, &mut skipped) {
@@ -182,6 +212,26 @@ fn ci(steps: &[Step]) -> ExitCode {
         eprintln!("ci: {line}");
     }
     ExitCode::SUCCESS
+}
+
+/// Where Debian's chromium keeps SwiftShader, a GPU that the CPU plays, with a Vulkan loader beside it.
+const SWIFTSHADER: &str = "/usr/lib/chromium";
+
+/// Lets Vulkan find SwiftShader where it is installed, behind the drivers of real GPUs, unless the user names drivers.
+fn offer_software_gpu(command: &mut Command) {
+    let driver = Path::new(SWIFTSHADER).join("vk_swiftshader_icd.json");
+    let named = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_ADD_DRIVER_FILES"];
+    if named.iter().any(|name| env::var_os(name).is_some()) || !driver.exists() {
+        return;
+    }
+    command.env("VK_ADD_DRIVER_FILES", driver);
+    let mut folders: Vec<PathBuf> = env::var_os("LD_LIBRARY_PATH")
+        .map(|folders| env::split_paths(&folders).collect())
+        .unwrap_or_default();
+    folders.push(SWIFTSHADER.into());
+    if let Ok(folders) = env::join_paths(folders) {
+        command.env("LD_LIBRARY_PATH", folders);
+    }
 }
 
 /// Runs a step, shows its standard error, and keeps the lines of it that say what was skipped.
@@ -233,6 +283,7 @@ fn backend_feature(args: &[OsString]) -> Option<&'static str> {
     match values.next_back()? {
         "ndarray" => Some("ndarray"),
         "wgpu" => Some("wgpu"),
+        "cuda" => Some("cuda"),
         _ => None,
     }
 }

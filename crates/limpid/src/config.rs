@@ -50,8 +50,10 @@ pub(crate) enum Backend {
     Flex,
     /// A second CPU backend, slow; needs the feature `ndarray`.
     Ndarray,
-    /// A GPU; needs the feature `wgpu`. The splatting kernels for it do not exist yet.
+    /// Any GPU, by Vulkan, Metal or DX12; needs the feature `wgpu`.
     Wgpu,
+    /// An NVIDIA GPU, by CUDA; needs the feature `cuda`.
+    Cuda,
 }
 
 impl Backend {
@@ -61,6 +63,7 @@ impl Backend {
             Self::Flex => "flex",
             Self::Ndarray => "ndarray",
             Self::Wgpu => "wgpu",
+            Self::Cuda => "cuda",
         }
     }
 
@@ -75,9 +78,10 @@ impl Backend {
                 let device = Device::ndarray();
                 Ok(device)
             }
-            Self::Wgpu => Err("--backend wgpu: the splatting and blur kernels for the GPU do not exist yet; \
-                use --backend flex"
-                .into()),
+            #[cfg(feature = "wgpu")]
+            Self::Wgpu => gpu("wgpu"),
+            #[cfg(feature = "cuda")]
+            Self::Cuda => gpu("cuda"),
             #[allow(unreachable_patterns, reason = "with all features on nothing is left")]
             other => Err(format!(
                 "--backend {0}: this build lacks it; build with `--features {0}` (`cargo xtask train --backend {0}` does)",
@@ -86,6 +90,33 @@ impl Backend {
             .into()),
         }
     }
+}
+
+/// The best GPU that a runtime reaches.
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+fn gpu(runtime: &str) -> Result<Device, Failure> {
+    let mut found = trainer::Gpu::found();
+    found.retain(|gpu| gpu.runtime == runtime);
+    let Some(gpu) = found.iter().find(|gpu| gpu.refusal().is_none()) else {
+        let why = match found.first().and_then(|gpu| Some((gpu, gpu.refusal()?))) {
+            Some((gpu, why)) => format!("{} is too small: {why}", gpu.name),
+            None => "there is no adapter on this machine: install its driver (for wgpu one of Vulkan, Metal or DX12)"
+                .to_owned(),
+        };
+        return Err(format!(
+            "--backend {runtime}: {why}; `limpid devices` lists what there is, and --backend flex takes the CPU"
+        )
+        .into());
+    };
+    if gpu.is_software {
+        eprintln!(
+            "note: {} is played by the CPU: --backend flex is many times faster",
+            gpu.name
+        );
+    } else {
+        eprintln!("on {}", gpu.name);
+    }
+    Ok(gpu.device.clone())
 }
 
 impl Config {

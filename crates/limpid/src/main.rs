@@ -1,6 +1,7 @@
 //! The `limpid` program: trains, renders and scores.
 
 mod config;
+mod devices;
 mod eval;
 mod failure;
 mod outputs;
@@ -33,6 +34,8 @@ enum Command {
     Render(render::RenderArguments),
     /// Score a trained scene on its test views.
     Eval(eval::EvalArguments),
+    /// List what tensors can live on, and whether a scene fits.
+    Devices(devices::DevicesArguments),
 }
 
 fn main() -> ExitCode {
@@ -40,6 +43,7 @@ fn main() -> ExitCode {
         Command::Train(arguments) => train::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Devices(arguments) => devices::run(&arguments),
     };
     match result {
         Ok(code) => code,

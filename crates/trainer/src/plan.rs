@@ -7,9 +7,6 @@ use crate::survey::Survey;
 use crate::views::Views;
 use io::Scene;
 
-/// A run may always have so many Gaussians, however small its pictures.
-const LEAST_MAX_GAUSSIANS: usize = 20_000;
-
 /// What was asked for, what was found in the scene, and when things happen because of both.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
@@ -32,12 +29,8 @@ impl Plan {
 
     /// The most Gaussians this run may have.
     pub(crate) fn max_gaussians(&self) -> usize {
-        let per_pixel = self.settings.gaussians.max_per_pixel;
-        if per_pixel == 0.0 {
-            return usize::MAX;
-        }
         let pixels = self.views.train[0].camera.num_pixels();
-        LEAST_MAX_GAUSSIANS.max((per_pixel * pixels as f64) as usize)
+        self.settings.gaussians.most(pixels)
     }
 }
 

@@ -125,6 +125,20 @@ impl Default for GaussianSettings {
     }
 }
 
+/// A run may always have so many Gaussians, however small its pictures.
+const LEAST_MAX_GAUSSIANS: usize = 20_000;
+
+impl GaussianSettings {
+    /// The most Gaussians of a run whose frames have so many pixels.
+    #[must_use]
+    pub fn most(&self, pixels: usize) -> usize {
+        if self.max_per_pixel == 0.0 {
+            return usize::MAX;
+        }
+        LEAST_MAX_GAUSSIANS.max((self.max_per_pixel * pixels as f64) as usize)
+    }
+}
+
 /// Motion bases and dynamic Gaussians.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

@@ -15,6 +15,12 @@ const MOST: usize = 64;
 /// compilers for GPUs are free to take all to be numbers.
 const EXPONENT: u32 = 0x7f80_0000;
 
+/// Neither infinite nor not a number.
+#[cube]
+pub fn is_finite(value: f32) -> bool {
+    value.to_bits() & EXPONENT != EXPONENT
+}
+
 /// Cubes that count so many values.
 pub(crate) fn parts(values: usize) -> usize {
     values.div_ceil(TEAM * EACH).clamp(1, MOST)
@@ -28,7 +34,7 @@ pub(crate) fn count_kernel(values: &[f32], counts: &mut [f32]) {
     let mut own = 0u32;
     let mut at = CUBE_POS * TEAM + unit;
     while at < values.len() {
-        if values[at].to_bits() & EXPONENT == EXPONENT {
+        if !is_finite(values[at]) {
             own += 1;
         }
         at += counts.len() * TEAM;

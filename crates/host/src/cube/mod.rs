@@ -1,6 +1,7 @@
 //! What kernels on a GPU share: tensors as they read and write them, and how many units they take.
 
-pub(crate) mod finite;
+#[allow(missing_docs, reason = "macros write items of their own beside each")]
+pub mod finite;
 #[allow(
     missing_docs,
     missing_debug_implementations,

@@ -1,10 +1,11 @@
 //! Colours of Gaussians: spherical harmonics in the direction from the camera's centre, and their way back.
 
 use cubecl::prelude::*;
+use host::cube::finite::is_finite;
 use host::cube::vec3::{Vec3, dot, load, store, sum, vec3};
 
 use super::body::SHAPE;
-use super::geometry::{is_finite, view_direction};
+use super::geometry::view_direction;
 use super::project_backward::{TEAM, V_COLOR, V_SHAPE, add_up};
 use super::sh::{BASIS, basis, direction_gradient};
 

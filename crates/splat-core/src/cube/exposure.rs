@@ -1,8 +1,8 @@
 //! Between pictures and light: the mean of samples, and the tables of gradients that the blending's way back reads.
 
 use cubecl::prelude::*;
+use host::cube::finite::is_finite;
 
-use super::geometry::is_finite;
 use super::raster::STATE;
 use super::raster_backward::pixel_width;
 use crate::cpu::{KNEE, LARGEST, TOE};

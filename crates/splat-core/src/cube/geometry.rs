@@ -2,6 +2,7 @@
 //! backward pass alike.
 
 use cubecl::prelude::*;
+use host::cube::finite::is_finite;
 use host::cube::vec3::{Vec3, dot, scaled, sum, vec3};
 
 use super::body::{FLOOR, Placed};
@@ -9,7 +10,6 @@ use super::matrices::{Mat3, apply, mul3, pose_rotation};
 use crate::cpu::LOW_PASS;
 
 const LOW: f32 = LOW_PASS as f32;
-const LARGEST: f32 = f32::MAX;
 
 /// A pinhole's intrinsics, and where the Jacobian is clamped; see [`crate::cpu`].
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
@@ -51,12 +51,6 @@ pub(super) struct Geometry {
     pub(super) l11: f32,
     pub(super) l21: f32,
     pub(super) l22: f32,
-}
-
-/// Neither infinite nor not a number.
-#[cube]
-pub(super) fn is_finite(x: f32) -> bool {
-    x.abs() <= LARGEST
 }
 
 #[cube]

@@ -1,10 +1,11 @@
 //! Projection and culling of all items, and the search for inputs that are not numbers.
 
 use cubecl::prelude::*;
+use host::cube::finite::is_finite;
 use host::cube::vec3::{load, store};
 
 use super::body::{SHAPE, placed, sigmoid};
-use super::geometry::{Lens, is_finite, project_one};
+use super::geometry::{Lens, project_one};
 use super::tiles::pixel_range;
 use crate::cpu::MIN_ALPHA;
 
@@ -120,10 +121,8 @@ pub(crate) fn faults_kernel(
     if at < values.len() && !is_finite(values[at]) {
         let mut entry = first;
         let column = at % width;
-        if comptime!(of != Rows::Plain) {
-            if column >= 3 {
-                entry += 1;
-            }
+        if comptime!(of != Rows::Plain) && column >= 3 {
+            entry += 1;
         }
         if comptime!(of == Rows::Shapes) {
             if column >= 7 {

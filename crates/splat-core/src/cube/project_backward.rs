@@ -1,12 +1,13 @@
 //! Backward of the projection: from each item's sums of partial gradients to gradients in the world.
 
 use cubecl::prelude::*;
+use host::cube::finite::is_finite;
 use host::cube::vec3::{Vec3, dot, load, scaled, store, sum, vec3};
 
 use super::body::{
     Placed, SHAPE, placed, quaternion_gradient, quaternion_matrix, sigmoid, unit_quaternion,
 };
-use super::geometry::{Geometry, Lens, is_finite, project_one};
+use super::geometry::{Geometry, Lens, project_one};
 use super::matrices::{
     Mat3, apply_transposed, load_matrix, mul_transpose3, pose_rotation, store_matrix,
     transpose_mul3,

@@ -1,0 +1,129 @@
+//! `limpid devices`.
+
+use crate::config::{Config, RunOptions};
+use crate::failure::Failure;
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use trainer::Settings;
+
+/// Arguments of `limpid devices`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct DevicesArguments {
+    /// Say whether this scene fits, with the settings that it would be trained with.
+    #[arg(long, value_name = "DIR")]
+    scene: Option<PathBuf>,
+    /// Make its pictures smaller by this factor.
+    #[arg(long, value_name = "F", requires = "scene")]
+    downscale: Option<usize>,
+}
+
+/// What a training may need at most.
+#[derive(Clone, Copy, Debug)]
+struct Need {
+    gaussians: usize,
+    samples: usize,
+}
+
+impl Need {
+    fn of(arguments: &DevicesArguments) -> Result<Option<Self>, Failure> {
+        if arguments.scene.is_none() {
+            return Ok(None);
+        }
+        let settings = Settings::default();
+        let run = RunOptions {
+            scene: arguments.scene.clone(),
+            downscale: arguments.downscale,
+            ..RunOptions::default()
+        };
+        let config = Config { run, settings };
+        let scene = config.open_scene()?;
+        let frame = scene.frames.first().ok_or("the scene has no frame")?;
+        let pixels = frame.view.camera.num_pixels();
+        Ok(Some(Self {
+            gaussians: config.settings.gaussians.most(pixels),
+            samples: config.settings.camera.samples,
+        }))
+    }
+}
+
+pub(crate) fn run(arguments: &DevicesArguments) -> Result<ExitCode, Failure> {
+    let need = Need::of(arguments)?;
+    let mut out = std::io::stdout().lock();
+    for (backend, is_here) in [
+        ("flex", cfg!(feature = "flex")),
+        ("ndarray", cfg!(feature = "ndarray")),
+        ("cuda", cfg!(feature = "cuda")),
+        ("wgpu", cfg!(feature = "wgpu")),
+    ] {
+        if !is_here {
+            writeln!(
+                out,
+                "{backend:8} not in this build: build with `--features {backend}`"
+            )?;
+        } else if ["flex", "ndarray"].contains(&backend) {
+            writeln!(out, "{backend:8} the CPU")?;
+        } else {
+            list_gpus(&mut out, backend, need)?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+fn list_gpus(
+    out: &mut impl std::io::Write,
+    backend: &str,
+    need: Option<Need>,
+) -> Result<(), Failure> {
+    use trainer::Gpu;
+
+    let mib = |bytes: u64| bytes >> 20;
+    let gpus: Vec<Gpu> = Gpu::found();
+    let mut listed = gpus.iter().filter(|gpu| gpu.runtime == backend).peekable();
+    if listed.peek().is_none() {
+        writeln!(out, "{backend:8} no adapter on this machine")?;
+    }
+    for gpu in listed {
+        let played = if gpu.is_software {
+            ", played by the CPU"
+        } else {
+            ""
+        };
+        writeln!(out, "{backend:8} {}{played}", gpu.name)?;
+        let memory = gpu.memory.map_or("of unknown size".to_owned(), |bytes| {
+            format!("{} MiB", mib(bytes))
+        });
+        writeln!(
+            out,
+            "         memory {memory}; a buffer {} MiB; {} buffers a kernel; {} KiB and {} units a cube",
+            mib(gpu.largest_buffer),
+            gpu.buffers,
+            gpu.shared_memory >> 10,
+            gpu.units
+        )?;
+        match (gpu.refusal(), need) {
+            (Some(why), _) => writeln!(out, "         too small: {why}")?,
+            (None, None) => {}
+            (None, Some(Need { gaussians, samples })) => {
+                let bytes = Gpu::largest_table(gaussians, samples);
+                let fits = if bytes <= gpu.largest_buffer {
+                    "fits"
+                } else {
+                    "may not fit"
+                };
+                writeln!(
+                    out,
+                    "         the scene {fits}: {gaussians} Gaussians at most, seen in {samples} samples a frame, make a table of about {} MiB",
+                    mib(bytes)
+                )?;
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(not(any(feature = "wgpu", feature = "cuda")))]
+fn list_gpus(_: &mut impl std::io::Write, _: &str, _: Option<Need>) -> Result<(), Failure> {
+    Ok(())
+}

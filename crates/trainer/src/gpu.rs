@@ -1,0 +1,107 @@
+//! GPUs, and CPUs that play one, that this build's kernels can run on.
+
+use burn::backend::DispatchDevice;
+use burn::tensor::{Device, DeviceType};
+
+/// Storage buffers that a kernel may have: ours take up to seven, and CubeCL adds one.
+const BUFFERS: u32 = 8;
+/// Memory that the units of a cube share, in bytes.
+const SHARED_MEMORY: usize = 16 << 10;
+/// Units of a cube.
+const UNITS: u32 = 256;
+/// Tiles that a Gaussian overlaps, of a scene that is trained: for an estimate.
+const TILES: u64 = 4;
+
+/// A GPU, or a CPU that plays one.
+#[derive(Clone, Debug)]
+pub struct Gpu {
+    /// As it names itself.
+    pub name: String,
+    /// What compiles and runs kernels on it: `wgpu` or `cuda`.
+    pub runtime: &'static str,
+    /// Played by a CPU: right, but slower than the CPU by itself.
+    pub is_software: bool,
+    /// Largest buffer, in bytes.
+    pub largest_buffer: u64,
+    /// Memory, in bytes, where the device says so.
+    pub memory: Option<u64>,
+    /// Storage buffers that a kernel may have.
+    pub buffers: u32,
+    /// Memory that the units of a cube share, in bytes.
+    pub shared_memory: usize,
+    /// Units that a cube may have.
+    pub units: u32,
+    /// What tensors are made on.
+    pub device: Device,
+}
+
+impl Gpu {
+    /// All that this build's runtimes reach, GPUs before CPUs that play one. Opens each of them.
+    #[must_use]
+    pub fn found() -> Vec<Self> {
+        let mut found: Vec<Self> = [
+            #[cfg(feature = "cuda")]
+            ("cuda", DeviceType::Cuda),
+            #[cfg(feature = "wgpu")]
+            ("wgpu", DeviceType::Wgpu),
+        ]
+        .into_iter()
+        .flat_map(|(runtime, kind)| {
+            let devices = Device::enumerate(kind).into_vec();
+            devices
+                .into_iter()
+                .filter_map(move |device| Self::open(runtime, device))
+        })
+        .collect();
+        found.sort_by_key(|gpu| gpu.is_software);
+        found
+    }
+
+    fn open(runtime: &'static str, device: Device) -> Option<Self> {
+        let DispatchDevice::Cube(cube) = device.as_dispatch() else {
+            return None;
+        };
+        let client = cube.client();
+        let properties = client.properties();
+        let (hardware, memory) = (&properties.hardware, &properties.memory);
+        Some(Self {
+            name: properties.identity.name.clone(),
+            runtime,
+            is_software: properties.identity.physical.is_none(),
+            largest_buffer: memory.max_page_size,
+            memory: memory.max_memory(),
+            buffers: hardware.max_bindings,
+            shared_memory: hardware.max_shared_memory_size,
+            units: hardware.max_units_per_cube,
+            device,
+        })
+    }
+
+    /// Why it cannot run the kernels, if it cannot.
+    #[must_use]
+    pub fn refusal(&self) -> Option<String> {
+        let too_few = |what: &str, found: u64, needed: u64| {
+            (found < needed).then(|| format!("{what}: {found}, but the kernels need {needed}"))
+        };
+        too_few(
+            "storage buffers a kernel",
+            self.buffers.into(),
+            BUFFERS.into(),
+        )
+        .or_else(|| {
+            let found = self.shared_memory as u64;
+            too_few("bytes of shared memory", found, SHARED_MEMORY as u64)
+        })
+        .or_else(|| too_few("units a cube", self.units.into(), UNITS.into()))
+    }
+
+    /// Bytes of the largest table that training makes, about: for so many Gaussians seen in so many samples of an exposure,
+    /// each in four tiles on average. More than [`Self::largest_buffer`] is refused when it is asked for.
+    #[must_use]
+    pub fn largest_table(gaussians: usize, samples: usize) -> u64 {
+        let (gaussians, samples) = (gaussians as u64, samples as u64);
+        let coefficients = 4 * 48 * gaussians;
+        let partial_gradients = 4 * 9 * TILES * gaussians * samples;
+        coefficients.max(partial_gradients)
+    }
+}
