@@ -29,6 +29,8 @@
 mod backends;
 mod blur;
 mod cpu;
+#[cfg(feature = "cube")]
+mod cube;
 mod encoding;
 mod error;
 mod extractor;

@@ -104,8 +104,6 @@ macro_rules! host_ops {
 host_ops!(burn::backend::Flex);
 #[cfg(feature = "ndarray")]
 host_ops!(burn::backend::NdArray);
-#[cfg(feature = "cube")]
-host_ops!(burn_cubecl::CubeBackend);
 
 /// Sizes of a field `[H, W, K * K + 1]`.
 fn blur_size<B: Backend>(field: &FloatTensor<B>) -> BlurSize {
@@ -178,7 +176,7 @@ fn with_predictor<T: HostFloat, B: HostBackend, R>(
     })
 }
 
-fn predict_on<T: HostFloat, B: HostBackend>(
+pub(super) fn predict_on<T: HostFloat, B: HostBackend>(
     predictor: Predictor<B>,
     size: PredictSize,
 ) -> FloatTensor<B> {
@@ -188,7 +186,7 @@ fn predict_on<T: HostFloat, B: HostBackend>(
     tensor::<T, B>(output, shape, &tensors[0])
 }
 
-fn predict_backward_on<T: HostFloat, B: HostBackend>(
+pub(super) fn predict_backward_on<T: HostFloat, B: HostBackend>(
     predictor: Predictor<B>,
     mut output: FloatTensor<B>,
     mut gradient: FloatTensor<B>,
@@ -215,7 +213,7 @@ fn predict_backward_on<T: HostFloat, B: HostBackend>(
     })
 }
 
-fn upsample_on<T: HostFloat, B: HostBackend>(
+pub(super) fn upsample_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     size: UpsampleSize,
 ) -> FloatTensor<B> {
@@ -224,7 +222,7 @@ fn upsample_on<T: HostFloat, B: HostBackend>(
     tensor::<T, B>(output, shape, &input)
 }
 
-fn upsample_backward_on<T: HostFloat, B: HostBackend>(
+pub(super) fn upsample_backward_on<T: HostFloat, B: HostBackend>(
     mut gradient: FloatTensor<B>,
     size: UpsampleSize,
 ) -> FloatTensor<B> {
@@ -233,7 +231,7 @@ fn upsample_backward_on<T: HostFloat, B: HostBackend>(
     tensor::<T, B>(input_gradient, shape, &gradient)
 }
 
-fn conv_on<T: HostFloat, B: HostBackend>(
+pub(super) fn conv_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     mut weight: FloatTensor<B>,
     mut bias: FloatTensor<B>,
@@ -251,7 +249,7 @@ fn conv_on<T: HostFloat, B: HostBackend>(
     tensor::<T, B>(output, shape, &input)
 }
 
-fn conv_backward_on<T: HostFloat, B: HostBackend>(
+pub(super) fn conv_backward_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     mut weight: FloatTensor<B>,
     mut output: Option<FloatTensor<B>>,
@@ -279,7 +277,7 @@ fn conv_backward_on<T: HostFloat, B: HostBackend>(
     ]
 }
 
-fn instance_norm_on<T: HostFloat, B: HostBackend>(
+pub(super) fn instance_norm_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
 ) -> (FloatTensor<B>, FloatTensor<B>) {
     let channels = input.shape()[1];
@@ -290,7 +288,7 @@ fn instance_norm_on<T: HostFloat, B: HostBackend>(
     )
 }
 
-fn instance_norm_backward_on<T: HostFloat, B: HostBackend>(
+pub(super) fn instance_norm_backward_on<T: HostFloat, B: HostBackend>(
     mut output: FloatTensor<B>,
     mut scale: FloatTensor<B>,
     mut gradient: FloatTensor<B>,

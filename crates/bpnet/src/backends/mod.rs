@@ -3,3 +3,5 @@
 mod autodiff;
 #[cfg(any(feature = "flex", feature = "ndarray", feature = "cube"))]
 mod cpu;
+#[cfg(feature = "cube")]
+mod cube;

@@ -22,7 +22,7 @@ pub(crate) const CHANNELS: usize = 7;
 const BAND: usize = 8;
 
 /// Where the weights inside the image sum to less, the pixel keeps its colour.
-const LEAST_SUM: f64 = 1e-12;
+pub(crate) const LEAST_SUM: f64 = 1e-12;
 
 /// Height, width and kernel side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
