@@ -13,7 +13,7 @@ fn rounded(values: Vec<f64>) -> Vec<f64> {
     values.into_iter().map(|v| f64::from(v as f32)).collect()
 }
 
-/// Compares results, and says the largest error that it found, as a share of `limit`.
+/// Compares results, and says the largest error that it found.
 fn check(what: &str, results: &[Named], expected: &[Named], limit: f64) {
     assert_eq!(results.len(), expected.len(), "{what}: as many results");
     let mut worst = (0.0, "");
@@ -131,15 +131,11 @@ fn composites_are_those_of_f64() {
 #[test]
 fn a_picture_without_pixels_is_none() {
     for (name, device) in devices() {
-        let case = Blur {
-            size: [0, 5, 3],
-            image: Vec::new(),
-            kernel: Vec::new(),
-            intensity: Vec::new(),
-        };
-        for (what, values) in blurred(&case, &device, DType::F32) {
-            assert!(values.is_empty(), "{name}: {what}");
-        }
+        let none = |channels: usize| tensor::<3>(&[], [0, 5, channels], &device, DType::F32);
+        let field = BlurField::new(none(9), none(1).squeeze_dim::<2>(2)).expect("the shapes fit");
+        let seen = composite(none(3), &field).expect("the shapes fit");
+        assert_eq!(seen.picture().dims(), [0, 5, 3], "{name}");
+        assert!(values(seen.centroid()).is_empty(), "{name}");
     }
 }
 
@@ -197,16 +193,19 @@ fn predicted(case: &Net, device: &Device, dtype: DType) -> Vec<Named> {
 #[test]
 fn predictions_are_those_of_f64() {
     for (name, device) in devices() {
-        for (seed, (kernel_size, [height, width], downscale, shortcut, head_scale)) in (1..).zip([
-            (3, [1, 1], 1, true, 1.0),
-            (1, [2, 3], 1, false, 1.0),
-            (9, [13, 21], 1, true, 1.0),
-            (5, [10, 7], 2, false, 1.0),
-            (15, [9, 31], 4, true, 1.0),
-            // Softmax and sigmoid at their ends.
-            (7, [11, 17], 3, true, 300.0),
-            (9, [61, 47], 1, true, 1.0),
-        ]) {
+        for (seed, (kernel_size, [height, width], downscale, shortcut, head_scale, limit)) in (1..)
+            .zip([
+                (3, [1, 1], 1, true, 1.0, 5e-6),
+                // Where instance norm is over few pixels, it magnifies what f32 rounded.
+                (1, [2, 3], 1, false, 1.0, 1e-4),
+                (9, [13, 21], 1, true, 1.0, 2e-5),
+                (5, [10, 7], 2, false, 1.0, 2e-5),
+                (15, [9, 31], 4, true, 1.0, 4e-5),
+                // Softmax and sigmoid at their ends.
+                (7, [11, 17], 3, true, 300.0, 1e-4),
+                (9, [61, 47], 1, true, 1.0, 2e-5),
+            ])
+        {
             let case = Net {
                 config: BpNetConfig {
                     kernel_size,
@@ -223,12 +222,7 @@ fn predictions_are_those_of_f64() {
             let what = format!("{name}: net {height} x {width} / {downscale}, K = {kernel_size}");
             let expected = predicted(&case, &Device::flex(), DType::F64);
             let results = predicted(&case, &device, DType::F32);
-            check(
-                &what,
-                &results,
-                &expected,
-                2e-5 * head_scale.max(1.0).sqrt(),
-            );
+            check(&what, &results, &expected, limit);
             assert!(
                 results == predicted(&case, &device, DType::F32),
                 "{what}: the same bits again"

@@ -176,7 +176,7 @@ fn with_predictor<T: HostFloat, B: HostBackend, R>(
     })
 }
 
-pub(super) fn predict_on<T: HostFloat, B: HostBackend>(
+fn predict_on<T: HostFloat, B: HostBackend>(
     predictor: Predictor<B>,
     size: PredictSize,
 ) -> FloatTensor<B> {
@@ -186,7 +186,7 @@ pub(super) fn predict_on<T: HostFloat, B: HostBackend>(
     tensor::<T, B>(output, shape, &tensors[0])
 }
 
-pub(super) fn predict_backward_on<T: HostFloat, B: HostBackend>(
+fn predict_backward_on<T: HostFloat, B: HostBackend>(
     predictor: Predictor<B>,
     mut output: FloatTensor<B>,
     mut gradient: FloatTensor<B>,
@@ -213,7 +213,7 @@ pub(super) fn predict_backward_on<T: HostFloat, B: HostBackend>(
     })
 }
 
-pub(super) fn upsample_on<T: HostFloat, B: HostBackend>(
+fn upsample_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     size: UpsampleSize,
 ) -> FloatTensor<B> {
@@ -222,7 +222,7 @@ pub(super) fn upsample_on<T: HostFloat, B: HostBackend>(
     tensor::<T, B>(output, shape, &input)
 }
 
-pub(super) fn upsample_backward_on<T: HostFloat, B: HostBackend>(
+fn upsample_backward_on<T: HostFloat, B: HostBackend>(
     mut gradient: FloatTensor<B>,
     size: UpsampleSize,
 ) -> FloatTensor<B> {
@@ -231,7 +231,7 @@ pub(super) fn upsample_backward_on<T: HostFloat, B: HostBackend>(
     tensor::<T, B>(input_gradient, shape, &gradient)
 }
 
-pub(super) fn conv_on<T: HostFloat, B: HostBackend>(
+fn conv_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     mut weight: FloatTensor<B>,
     mut bias: FloatTensor<B>,
@@ -249,7 +249,7 @@ pub(super) fn conv_on<T: HostFloat, B: HostBackend>(
     tensor::<T, B>(output, shape, &input)
 }
 
-pub(super) fn conv_backward_on<T: HostFloat, B: HostBackend>(
+fn conv_backward_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
     mut weight: FloatTensor<B>,
     mut output: Option<FloatTensor<B>>,
@@ -277,7 +277,7 @@ pub(super) fn conv_backward_on<T: HostFloat, B: HostBackend>(
     ]
 }
 
-pub(super) fn instance_norm_on<T: HostFloat, B: HostBackend>(
+fn instance_norm_on<T: HostFloat, B: HostBackend>(
     mut input: FloatTensor<B>,
 ) -> (FloatTensor<B>, FloatTensor<B>) {
     let channels = input.shape()[1];
@@ -288,7 +288,7 @@ pub(super) fn instance_norm_on<T: HostFloat, B: HostBackend>(
     )
 }
 
-pub(super) fn instance_norm_backward_on<T: HostFloat, B: HostBackend>(
+fn instance_norm_backward_on<T: HostFloat, B: HostBackend>(
     mut output: FloatTensor<B>,
     mut scale: FloatTensor<B>,
     mut gradient: FloatTensor<B>,

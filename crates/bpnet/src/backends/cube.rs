@@ -1,5 +1,10 @@
 //! GPUs, by the kernels of [`crate::cube`].
 
+mod conv;
+mod layers;
+mod predict;
+mod product;
+
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
@@ -111,19 +116,19 @@ type Tensor = CubeTensor;
 
 impl BpNetOps for CubeBackend {
     fn conv(input: Tensor, weight: Tensor, bias: Tensor, size: ConvSize, relu: bool) -> Tensor {
-        super::cpu::conv_on::<f32, Self>(input, weight, bias, size, relu)
+        conv::conv(input, weight, bias, size, relu)
     }
 
     fn instance_norm(input: Tensor) -> Tensor {
-        super::cpu::instance_norm_on::<f32, Self>(input).0
+        layers::instance_norm(input).0
     }
 
     fn predict(predictor: Predictor<Self>, size: PredictSize) -> Tensor {
-        super::cpu::predict_on::<f32, Self>(predictor, size)
+        predict::predict(predictor, size)
     }
 
     fn upsample(input: Tensor, size: UpsampleSize) -> Tensor {
-        super::cpu::upsample_on::<f32, Self>(input, size)
+        layers::upsample(input, size)
     }
 
     fn composite(image: Tensor, field: Tensor) -> Tensor {
@@ -140,15 +145,15 @@ impl BpNetBackwardOps for CubeBackend {
         size: ConvSize,
         wanted: [bool; 3],
     ) -> [Option<Tensor>; 3] {
-        super::cpu::conv_backward_on::<f32, Self>(input, weight, output, gradient, size, wanted)
+        conv::conv_backward(input, weight, output, gradient, size, wanted)
     }
 
     fn instance_norm_saved(input: Tensor) -> (Tensor, Tensor) {
-        super::cpu::instance_norm_on::<f32, Self>(input)
+        layers::instance_norm(input)
     }
 
     fn instance_norm_backward(output: Tensor, scale: Tensor, gradient: Tensor) -> Tensor {
-        super::cpu::instance_norm_backward_on::<f32, Self>(output, scale, gradient)
+        layers::instance_norm_backward(output, scale, gradient)
     }
 
     fn predict_backward(
@@ -158,11 +163,11 @@ impl BpNetBackwardOps for CubeBackend {
         size: PredictSize,
         wanted: [bool; PREDICTOR],
     ) -> [Option<Tensor>; PREDICTOR] {
-        super::cpu::predict_backward_on::<f32, Self>(predictor, output, gradient, size, wanted)
+        predict::predict_backward(predictor, output, gradient, size, wanted)
     }
 
     fn upsample_backward(gradient: Tensor, size: UpsampleSize) -> Tensor {
-        super::cpu::upsample_backward_on::<f32, Self>(gradient, size)
+        layers::upsample_backward(gradient, size)
     }
 
     fn composite_backward(

@@ -9,7 +9,7 @@ use host::{Real, filled, vectorized};
 const ROWS: usize = 512;
 
 /// Added to the variance before its root.
-const EPSILON: f64 = 1e-5;
+pub(crate) const EPSILON: f64 = 1e-5;
 
 /// Each channel with zero mean and unit (biased) variance: `y = (x - mean) / sqrt(variance + 1e-5)`.
 /// Returns y and the reciprocals of the roots.
