@@ -232,7 +232,7 @@ pub fn mask_loss(
     let given = Tensor::<2>::from_data(TensorData::new(target.to_vec(), [height, width]), like);
     let weight = Tensor::<2>::from_dispatch(<Dispatch as TrainerOps>::mask_weights(
         known.into_dispatch(),
-        target,
+        given.clone().into_dispatch(),
         valid,
         band,
     ));

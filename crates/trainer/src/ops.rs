@@ -1,6 +1,6 @@
 //! The seam between the trainer's tensors and its kernels.
 //!
-//! What a view brings along (depth, mask, validity) lies in main memory and comes as slices: a device copies them to itself.
+//! What a view brings along (depth, validity) lies in main memory and comes as slices: a device copies them to itself.
 
 use burn::backend::{Backend, ExtensionType, backend_extension, tensor::FloatTensor};
 
@@ -47,10 +47,11 @@ pub(crate) trait TrainerOps: Backend {
         scene_size: f64,
     ) -> DepthTargets<Self>;
 
-    /// Weight of every pixel of the trimmed mask loss, `[H, W]` like `rendered`: the same for all that are kept, which sum to 1.
+    /// Weight of every pixel of the trimmed mask loss, `[H, W]` like `rendered` and `target`: the same for all that are kept,
+    /// which sum to 1.
     fn mask_weights(
         rendered: FloatTensor<Self>,
-        target: &[f32],
+        target: FloatTensor<Self>,
         valid: Option<&[bool]>,
         band: usize,
     ) -> FloatTensor<Self>;

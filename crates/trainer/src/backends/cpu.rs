@@ -30,7 +30,7 @@ macro_rules! host_ops {
 
             fn mask_weights(
                 rendered: FloatTensor<Self>,
-                target: &[f32],
+                target: FloatTensor<Self>,
                 valid: Option<&[bool]>,
                 band: usize,
             ) -> FloatTensor<Self> {
@@ -124,14 +124,14 @@ fn depth_targets_on<T: HostFloat, B: HostBackend>(
 
 fn mask_weights_on<T: HostFloat, B: HostBackend>(
     mut rendered: FloatTensor<B>,
-    target: &[f32],
+    mut target: FloatTensor<B>,
     valid: Option<&[bool]>,
     band: usize,
 ) -> FloatTensor<B> {
     let shape = rendered.shape();
     let weights = mask::mask_weights(
         &B::elements::<T>(&mut rendered),
-        target,
+        &B::elements::<T>(&mut target),
         valid,
         [shape[0], shape[1]],
         band,

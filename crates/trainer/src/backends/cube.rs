@@ -185,22 +185,21 @@ impl TrainerOps for CubeBackend {
 
     fn mask_weights(
         rendered: FloatTensor<Self>,
-        target: &[f32],
+        target: FloatTensor<Self>,
         valid: Option<&[bool]>,
         band: usize,
     ) -> FloatTensor<Self> {
-        let rendered = flat(rendered);
+        let [rendered, given] = [rendered, target].map(flat);
         let client = rendered.client.clone();
         let of = |shape: &[usize], dtype| empty(&rendered, shape, dtype);
         let weights = of(rendered.meta.shape(), DType::F32);
-        let pixels = target.len();
+        let pixels = rendered.meta.num_elements();
         if pixels == 0 {
             return weights;
         }
         let width = rendered.meta.shape()[1] as u32;
         // A wider band sees no more.
         let band = band.min(pixels) as u32;
-        let given = uploaded(target, &rendered, DType::F32);
         let bins = of(&[BINS], DType::U32);
         let [along, near] = [(); 2].map(|()| of(&[pixels], DType::U32));
         let (count, dim) = units(&client, pixels.max(BINS));

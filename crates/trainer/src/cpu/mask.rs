@@ -8,7 +8,7 @@ const KEPT: f64 = 0.98;
 /// The weight of every pixel [H, W] in a trimmed mean of the errors: one over the number of those kept, or zero.
 pub(crate) fn mask_weights<T: Real>(
     rendered: &[T],
-    target: &[f32],
+    target: &[T],
     valid: Option<&[bool]>,
     [height, width]: [usize; 2],
     band: usize,
@@ -16,7 +16,7 @@ pub(crate) fn mask_weights<T: Real>(
     let errors: Vec<f64> = rendered
         .iter()
         .zip(target)
-        .map(|(r, t)| (r.to_f64() - f64::from(*t)).abs())
+        .map(|(r, t)| (r.to_f64() - t.to_f64()).abs())
         .collect();
     let near = sides_within(target, width, height, band);
     let mut kept = vec![false; errors.len()];
@@ -41,10 +41,10 @@ pub(crate) const INSIDE: u8 = 1;
 pub(crate) const OUTSIDE: u8 = 2;
 
 /// Which sides of the mask occur within `band` pixels of each pixel: bits, [H, W].
-fn sides_within(target: &[f32], width: usize, height: usize, band: usize) -> Vec<u8> {
+fn sides_within<T: Real>(target: &[T], width: usize, height: usize, band: usize) -> Vec<u8> {
     let side: Vec<u8> = target
         .iter()
-        .map(|t| if *t > 0.5 { INSIDE } else { OUTSIDE })
+        .map(|t| if t.to_f64() > 0.5 { INSIDE } else { OUTSIDE })
         .collect();
     let mut along_rows = vec![0; side.len()];
     let mut out = vec![0; side.len()];
