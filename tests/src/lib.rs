@@ -175,6 +175,28 @@ pub fn unit_noise(count: usize, seed: usize) -> Vec<f64> {
         .collect()
 }
 
+/// As f32 holds them, so that f32 and f64 see the same.
+#[must_use]
+pub fn rounded(values: &[f64]) -> Vec<f64> {
+    values.iter().map(|v| f64::from(*v as f32)).collect()
+}
+
+/// Demands that `found` is no further from `expected` than `tolerance`, relative to the largest value.
+///
+/// # Panics
+/// Where it is.
+pub fn assert_close(what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
+    assert_eq!(found.len(), expected.len(), "{what}: as many values");
+    let largest = expected.iter().fold(1e-30_f64, |max, v| max.max(v.abs()));
+    for (k, (f, e)) in found.iter().zip(expected).enumerate() {
+        let error = (f - e).abs() / largest;
+        assert!(
+            error <= tolerance,
+            "{what}: {f} instead of {e} at {k}, off by {error:e} of {largest:e}"
+        );
+    }
+}
+
 /// An error and what caused it.
 #[must_use]
 pub fn with_causes(error: &dyn Error) -> String {

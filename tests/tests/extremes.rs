@@ -6,7 +6,7 @@ use bpnet::{
 };
 use burn::tensor::{DType, Device, Tensor};
 use io::Scene;
-use limpid_tests::{devices, noise, tensor, tiny, values};
+use limpid_tests::{devices, noise, quick_devices, tensor, tiny, values};
 use motion_bases::MotionBases;
 use splat_core::cpu::{SplatSlices, View, project, rasterize};
 use splat_core::{Camera, SplatError};
@@ -274,7 +274,7 @@ fn whole_training_steps_survive_scenes_with_almost_nothing_in_them() {
         ("pictures of 40 x 1", cropped(tiny::scene(), 40, 1)),
         ("pictures of 17 x 19", cropped(tiny::scene(), 17, 19)),
     ];
-    for (device_name, device) in devices() {
+    for (device_name, device) in quick_devices() {
         for (name, scene) in &scenes {
             let mut settings = tiny::settings();
             settings.blur.kernel_size = 15;

@@ -18,4 +18,5 @@ pub(crate) mod raster_backward;
 pub(crate) mod scan;
 mod sh;
 pub(crate) mod sort;
+pub(crate) mod splat;
 pub(crate) mod tiles;

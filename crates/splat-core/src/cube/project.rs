@@ -6,18 +6,8 @@ use host::cube::vec3::{load, store};
 
 use super::body::{SHAPE, placed, sigmoid};
 use super::geometry::{Lens, project_one};
-use super::tiles::pixel_range;
+use super::splat::{COLOR, DEPTH, HALF, OPACITY, RADIUS, SIGMA_MAX, SPLAT, pixel_range};
 use crate::cpu::MIN_ALPHA;
-
-/// Numbers of a projected item: mean 2, l11, l21, l22, opacity (0 for one that cannot be seen), depth, colour 3, where alpha
-/// ends (sigma), half the size of its box 2, radius.
-pub(crate) const SPLAT: usize = 14;
-pub(super) const OPACITY: usize = 5;
-pub(super) const DEPTH: usize = 6;
-pub(super) const COLOR: usize = 7;
-pub(super) const SIGMA_MAX: usize = 10;
-pub(super) const HALF: usize = 11;
-pub(super) const RADIUS: usize = 13;
 
 /// Sorts behind all depths.
 pub(crate) const NOWHERE: u32 = u32::MAX;

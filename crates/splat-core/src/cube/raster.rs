@@ -3,7 +3,7 @@
 use cubecl::prelude::*;
 
 use super::geometry::Lens;
-use super::project::{COLOR, DEPTH, OPACITY, SPLAT};
+use super::splat::{COLOR, DEPTH, OPACITY, SPLAT};
 use crate::cpu::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, TILE};
 
 /// Units of a cube: the pixels of a tile, row by row.

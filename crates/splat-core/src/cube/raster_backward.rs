@@ -6,8 +6,8 @@
 use cubecl::prelude::*;
 
 use super::geometry::Lens;
-use super::project::{COLOR, DEPTH, SPLAT};
 use super::raster::{Ellipse, PIXELS, ellipse_at, footprint};
+use super::splat::{COLOR, DEPTH, SPLAT};
 use crate::cpu::{GEOMETRIC, MAX_ALPHA, MIN_ALPHA, TILE};
 
 /// Units of a cube.

@@ -3,29 +3,8 @@
 use cubecl::prelude::*;
 
 use super::geometry::Lens;
-use super::project::{HALF, OPACITY, SIGMA_MAX, SPLAT};
+use super::splat::{HALF, OPACITY, SIGMA_MAX, SPLAT, Span, pixel_range};
 use crate::cpu::TILE;
-
-/// Pixels or tiles [from, to).
-#[derive(CubeType, CubeTypeMut, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-pub(super) struct Span {
-    pub(super) from: u32,
-    pub(super) to: u32,
-}
-
-/// The pixels of a line of `count` whose centres lie in [low, high]; none where one is not a number.
-#[cube]
-pub(super) fn pixel_range(low: f32, high: f32, count: u32) -> Span {
-    let limit = count as f32;
-    let first = (low - 0.5).max(0.0);
-    let last = (high + 0.5).min(limit);
-    let some = low < limit + 1.0 && high + 1.0 > 0.0 && first < limit && last > 0.0;
-    Span {
-        from: select(some, first.ceil(), 0.0f32) as u32,
-        to: select(some, last.floor(), 0.0f32) as u32,
-    }
-}
 
 /// The tiles of a band of rows that have a pixel centre in the ellipse's bounding interval there.
 #[cube]

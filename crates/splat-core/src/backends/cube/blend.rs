@@ -6,7 +6,7 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use host::cube::{cubes, flat, full, units};
 
-use super::prepare::{Scene, Tables, read};
+use super::tables::{Scene, Tables, read};
 use crate::cpu::{BASE_CHANNELS, Transfer};
 use crate::cube::exposure::{Curve, mean_kernel};
 use crate::cube::project::{Rows, faults_kernel};

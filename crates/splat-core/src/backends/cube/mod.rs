@@ -3,6 +3,7 @@
 mod blend;
 mod prepare;
 mod sort;
+mod tables;
 mod unblend;
 
 use std::sync::Arc;
@@ -22,8 +23,9 @@ use crate::ops::{
     Projected, SceneTensors, SplatBackwardOps, SplatOps, Taking,
 };
 use blend::{Blend, mean_of_samples};
-pub(crate) use prepare::Tables;
-use prepare::{Moving, Scene, prepare};
+use prepare::prepare;
+use tables::Scene;
+pub(crate) use tables::Tables;
 use unblend::{exposure_gradients, render_gradients, unblend};
 
 /// What the way back of a render needs beside its inputs; nothing where there was no Gaussian.
@@ -42,6 +44,56 @@ struct Exposed {
     transfer: Transfer,
 }
 
+/// What moves in each sample: means [n, F, 3] and left rotations [n, F, 3, 3].
+struct Moving {
+    means: CubeTensor,
+    left_rotations: CubeTensor,
+}
+
+/// A scene that `moving` moves in, seen from `poses`.
+fn scene_of(
+    scene: SceneTensors<CubeBackend>,
+    moving: Moving,
+    poses: CubeTensor,
+    camera: &Camera,
+    sh_degree: usize,
+) -> Scene {
+    let sh = flat(scene.sh);
+    let rows = sh.meta.shape()[0];
+    let [samples, of_moving, _] = moving.means.meta.shape().dims();
+    let table = |tensors: Vec<CubeTensor>, dim| flat(CubeBackend::float_cat(tensors, dim));
+    let shapes = table(
+        vec![
+            scene.means,
+            scene.quats,
+            scene.log_scales,
+            scene.opacity_logits,
+        ],
+        1,
+    );
+    let moved = if of_moving > 0 {
+        let left = [samples, of_moving, 9].into();
+        let left = CubeBackend::float_reshape(moving.left_rotations, left);
+        table(vec![moving.means, left], 2)
+    } else {
+        // A buffer that no kernel reads, but none may be empty.
+        shapes.clone()
+    };
+    Scene {
+        camera: camera.clone(),
+        sh_degree,
+        stored: sh.meta.num_elements() / (3 * rows.max(1)),
+        rows,
+        moving: of_moving,
+        samples,
+        shapes,
+        sh,
+        moved,
+        pose: flat(scene.cam_from_world),
+        poses: flat(poses),
+    }
+}
+
 /// Gaussians whose first rows have left rotations, as a scene of one sample.
 fn still(scene: SceneTensors<CubeBackend>, camera: &Camera, sh_degree: usize) -> Scene {
     let left = scene.left_rotations.clone();
@@ -55,7 +107,7 @@ fn still(scene: SceneTensors<CubeBackend>, camera: &Camera, sh_degree: usize) ->
         left_rotations: left,
     };
     let poses = scene.cam_from_world.clone();
-    Scene::new(scene, moving, poses, camera, sh_degree)
+    scene_of(scene, moving, poses, camera, sh_degree)
 }
 
 impl SplatOps for CubeBackend {
@@ -185,7 +237,7 @@ impl SplatBackwardOps for CubeBackend {
             means: moving.means,
             left_rotations: moving.left_rotations,
         };
-        let scene = Scene::new(scene, movers, moving.poses, camera, taking.sh_degree);
+        let scene = scene_of(scene, movers, moving.poses, camera, taking.sh_degree);
         let tables = prepare(scene)?;
         let blend = Blend::new(&tables, &tables.splats, false)?;
         let picture = mean_of_samples(&tables.scene, &blend.output, taking.transfer)?;

@@ -1,22 +1,17 @@
 //! From Gaussians to lists of what every tile sees.
 
-use burn::backend::ops::FloatTensorOps as _;
 use burn::tensor::DType;
-use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
-use cubecl::prelude::Client;
-use host::cube::{empty, flat, full, units};
+use host::cube::{full, units};
 
 use super::sort::{before, sorted};
-use crate::camera::Camera;
-use crate::cpu::{TILE, tangents};
+use super::tables::{Scene, Tables, read};
 use crate::cube::body::{MOVED, SHAPE};
 use crate::cube::color::colors_kernel;
-use crate::cube::geometry::LensLaunch;
-use crate::cube::project::{Rows, SPLAT, faults_kernel, project_kernel, radii_kernel};
+use crate::cube::project::{Rows, faults_kernel, project_kernel, radii_kernel};
+use crate::cube::splat::SPLAT;
 use crate::cube::tiles::{count_kernel, emit_kernel, ranges_kernel, total_kernel};
 use crate::error::SplatError;
-use crate::ops::SceneTensors;
 
 /// Where [`faults_kernel`] notes what is not finite: means, quats, log_scales, opacity_logits; means and left rotations of what
 /// moves; SH; the pose of the middle and those of the samples. Behind them comes the number of slots.
@@ -25,164 +20,6 @@ const MOVING: usize = 4;
 const SH: usize = 6;
 const POSE: usize = 7;
 const POSES: usize = 8;
-
-/// Gaussians as the kernels read them.
-#[derive(Clone, Debug)]
-pub(super) struct Scene {
-    pub(super) camera: Camera,
-    pub(super) sh_degree: usize,
-    /// Coefficients a channel.
-    pub(super) stored: usize,
-    /// Numbers of Gaussians, of those that move, and of samples.
-    pub(super) rows: usize,
-    pub(super) moving: usize,
-    pub(super) samples: usize,
-    /// [N, 11] and [N, B, 3].
-    pub(super) shapes: CubeTensor,
-    pub(super) sh: CubeTensor,
-    /// [n, moving, 12].
-    pub(super) moved: CubeTensor,
-    /// [3, 4] for the colours, and [n, 3, 4].
-    pub(super) pose: CubeTensor,
-    pub(super) poses: CubeTensor,
-}
-
-/// What moves in each sample: means [n, F, 3] and left rotations [n, F, 3, 3].
-pub(super) struct Moving {
-    pub(super) means: CubeTensor,
-    pub(super) left_rotations: CubeTensor,
-}
-
-impl Scene {
-    /// A scene that `moving` moves in, seen from `poses`.
-    pub(super) fn new(
-        scene: SceneTensors<CubeBackend>,
-        moving: Moving,
-        poses: CubeTensor,
-        camera: &Camera,
-        sh_degree: usize,
-    ) -> Self {
-        let sh = flat(scene.sh);
-        let rows = sh.meta.shape()[0];
-        let [samples, of_moving, _] = moving.means.meta.shape().dims();
-        let table = |tensors: Vec<CubeTensor>, dim| flat(CubeBackend::float_cat(tensors, dim));
-        let shapes = table(
-            vec![
-                scene.means,
-                scene.quats,
-                scene.log_scales,
-                scene.opacity_logits,
-            ],
-            1,
-        );
-        let moved = if of_moving > 0 {
-            let left = [samples, of_moving, 9].into();
-            let left = CubeBackend::float_reshape(moving.left_rotations, left);
-            table(vec![moving.means, left], 2)
-        } else {
-            // A buffer that no kernel reads, but none may be empty.
-            shapes.clone()
-        };
-        Self {
-            camera: camera.clone(),
-            sh_degree,
-            stored: sh.meta.num_elements() / (3 * rows.max(1)),
-            rows,
-            moving: of_moving,
-            samples,
-            shapes,
-            sh,
-            moved,
-            pose: flat(scene.cam_from_world),
-            poses: flat(poses),
-        }
-    }
-
-    pub(super) fn client(&self) -> &Client {
-        &self.shapes.client
-    }
-
-    /// Gaussians in all samples.
-    pub(super) fn items(&self) -> usize {
-        self.rows * self.samples
-    }
-
-    /// Tiles of all samples.
-    pub(super) fn tiles(&self) -> usize {
-        let camera = &self.camera;
-        self.samples * camera.width.div_ceil(TILE) * camera.height.div_ceil(TILE)
-    }
-
-    pub(super) fn lens(&self) -> LensLaunch {
-        let c = &self.camera;
-        let [min, max] = tangents(c);
-        LensLaunch::new(
-            c.fx as f32,
-            c.fy as f32,
-            c.cx as f32,
-            c.cy as f32,
-            c.near as f32,
-            min[0] as f32,
-            min[1] as f32,
-            max[0] as f32,
-            max[1] as f32,
-            c.width as u32,
-            c.height as u32,
-        )
-    }
-
-    /// A table beside the scene's, if the device has room for it.
-    pub(super) fn table(
-        &self,
-        name: &'static str,
-        length: usize,
-        dtype: DType,
-    ) -> Result<CubeTensor, SplatError> {
-        fits(self.client(), name, length)?;
-        Ok(empty(&self.shapes, [length.max(1)], dtype))
-    }
-}
-
-/// An error if so many numbers do not go into a buffer.
-pub(super) fn fits(client: &Client, table: &'static str, length: usize) -> Result<(), SplatError> {
-    let (bytes, limit) = (4 * length as u64, client.properties().memory.max_page_size);
-    if bytes > limit {
-        return Err(SplatError::TooLarge {
-            table,
-            bytes,
-            limit,
-        });
-    }
-    Ok(())
-}
-
-/// The numbers of a table of u32.
-pub(super) fn read(table: &CubeTensor) -> Result<Vec<u32>, SplatError> {
-    let bytes = table.client.read_one(table.handle.clone());
-    let bytes = bytes.map_err(|error| SplatError::Device {
-        reason: error.to_string(),
-    })?;
-    let words = bytes.as_chunks::<4>().0.iter();
-    Ok(words.map(|word| u32::from_le_bytes(*word)).collect())
-}
-
-/// A view that is projected, sorted and listed by tile.
-#[derive(Clone, Debug)]
-pub(crate) struct Tables {
-    pub(super) scene: Scene,
-    /// [items, 14].
-    pub(super) splats: CubeTensor,
-    /// Slots of every item, [items, 2].
-    pub(super) lists: CubeTensor,
-    /// Slots of every tile, [tiles, 2], in the order of `list` and `slots`.
-    pub(super) ranges: CubeTensor,
-    /// Items in the tiles' order, and where their partial gradients lie.
-    pub(super) list: CubeTensor,
-    pub(super) slots: CubeTensor,
-    pub(super) num_slots: usize,
-    /// `[N]`.
-    pub(super) radii: CubeTensor,
-}
 
 /// Projects, culls, sorts by depth and lists by tile. There is a Gaussian.
 pub(super) fn prepare(scene: Scene) -> Result<Tables, SplatError> {

@@ -8,7 +8,7 @@ use cubecl::prelude::CubeCount;
 use host::cube::{cubes, empty, full, units, zeros};
 
 use super::blend::{Blend, curve};
-use super::prepare::{Scene, Tables};
+use super::tables::{Scene, Tables};
 use crate::cpu::{GEOMETRIC, Transfer};
 use crate::cube::color::colors_backward_kernel;
 use crate::cube::exposure::{finite_kernel, pixel_gradients_kernel, sample_gradients_kernel};

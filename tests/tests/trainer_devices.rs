@@ -2,28 +2,10 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use host::{all_zero, count_not_finite, first_not_finite};
-use limpid_tests::{devices, noise, tensor, unit_noise, values};
+use limpid_tests::{assert_close, devices, noise, rounded, tensor, unit_noise, values};
 use trainer::adam::{AdamState, AdamStep, LearningRate, Steps, adam_step};
 use trainer::losses::{depth_loss, mask_loss, photometric, ssim};
 use trainer::metrics::psnr_of;
-
-/// As f32 holds them, so that both sides see the same.
-fn rounded(values: &[f64]) -> Vec<f64> {
-    values.iter().map(|v| f64::from(*v as f32)).collect()
-}
-
-/// Demands that `found` is no further from `expected` than `tolerance`, relative to the largest value.
-fn close(what: &str, found: &[f64], expected: &[f64], tolerance: f64) {
-    assert_eq!(found.len(), expected.len(), "{what}");
-    let largest = expected.iter().fold(1e-30_f64, |max, v| max.max(v.abs()));
-    for (k, (f, e)) in found.iter().zip(expected).enumerate() {
-        let error = (f - e).abs() / largest;
-        assert!(
-            error <= tolerance,
-            "{what}: {f} instead of {e} at {k}, off by {error:e} of {largest:e}"
-        );
-    }
-}
 
 /// A loss of a tensor and its gradient.
 fn with_gradient<const D: usize>(
@@ -56,13 +38,13 @@ fn check<const D: usize>(
     let (value, gradient) = run(&Device::flex(), DType::F64);
     for (name, device) in devices() {
         let found = run(&device, DType::F32);
-        close(
+        assert_close(
             &format!("{name}, {what}, value"),
             &found.0,
             &value,
             value_tolerance,
         );
-        close(
+        assert_close(
             &format!("{name}, {what}, gradient"),
             &found.1,
             &gradient,
@@ -188,13 +170,13 @@ fn adam() {
             let found = run(&device, DType::F32);
             let what = |part| format!("{name}, adam {rows}x{columns}, {part}");
             let ([parameter, first, second], wanted) = (&found, &expected);
-            close(&what("parameter"), parameter, &wanted[0], 2e-6);
-            close(&what("first moment"), first, &wanted[1], 2e-6);
+            assert_close(&what("parameter"), parameter, &wanted[0], 2e-6);
+            assert_close(&what("first moment"), first, &wanted[1], 2e-6);
             // Value by value: they differ by many orders of magnitude.
             let share = |(f, e): (&f64, &f64)| f / e.max(1e-36);
             let shares: Vec<f64> = second.iter().zip(&wanted[2]).map(share).collect();
             let ones = wanted[2].iter().map(|v| f64::from(u8::from(*v > 0.0)));
-            close(
+            assert_close(
                 &what("second moment"),
                 &shares,
                 &ones.collect::<Vec<_>>(),
@@ -227,7 +209,7 @@ fn psnr() {
             for (name, device) in devices() {
                 let found = run(&device, DType::F32);
                 let what = format!("{name}, psnr {height}x{width} of {scale}");
-                close(&what, &[found], &[expected], 2e-6);
+                assert_close(&what, &[found], &[expected], 2e-6);
                 assert_eq!(found, run(&device, DType::F32), "{what}: twice");
                 let none = vec![false; height * width];
                 let of = tensor::<3>(&a, shape, &device, DType::F32);

@@ -3,35 +3,17 @@
 
 use bpnet::{BlurField, BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, composite};
 use burn::tensor::{DType, Device, Tensor};
-use limpid_tests::{devices, noise, tensor, values};
+use limpid_tests::{assert_close, devices, noise, rounded, tensor, values};
 
 /// A result: its name and its values.
 type Named = (String, Vec<f64>);
 
-/// Values that f32 holds as they are.
-fn rounded(values: Vec<f64>) -> Vec<f64> {
-    values.into_iter().map(|v| f64::from(v as f32)).collect()
-}
-
-/// Compares results, and says the largest error that it found.
+/// Compares results by name.
 fn check(what: &str, results: &[Named], expected: &[Named], limit: f64) {
     assert_eq!(results.len(), expected.len(), "{what}: as many results");
-    let mut worst = (0.0, "");
     for ((name, result), (_, expected)) in results.iter().zip(expected) {
-        assert_eq!(result.len(), expected.len(), "{what}: {name}");
-        let scale = expected.iter().fold(1e-12_f64, |a, b| a.max(b.abs()));
-        for (i, (a, b)) in result.iter().zip(expected).enumerate() {
-            let error = (a - b).abs() / scale;
-            assert!(
-                error < limit,
-                "{what}: {name} at {i} is {a:e}, in f64 {b:e}, of {scale:e} at most"
-            );
-            if error > worst.0 {
-                worst = (error, name);
-            }
-        }
+        assert_close(&format!("{what}: {name}"), result, expected, limit);
     }
-    println!("{what}: {:.1e} in {}", worst.0, worst.1);
 }
 
 struct Blur {
@@ -55,7 +37,7 @@ fn blurred(case: &Blur, device: &Device, dtype: DType) -> Vec<Named> {
     let seen = composite(image.clone(), &field).expect("the shapes fit");
     let weighted = |part: Tensor<3>, seed: u64| {
         let dims = part.dims();
-        let weights = rounded(noise(dims.iter().product(), seed));
+        let weights = rounded(&noise(dims.iter().product(), seed));
         (part * tensor::<3>(&weights, dims, &device, dtype)).sum()
     };
     let parts = [
@@ -98,13 +80,13 @@ fn composites_are_those_of_f64() {
             let pixels = height * width;
             let mut case = Blur {
                 size: [height, width, k],
-                image: rounded(noise(pixels * 3, seed)),
+                image: rounded(&noise(pixels * 3, seed)),
                 // Not normalised.
-                kernel: rounded(noise(pixels * k * k, seed + 20))
+                kernel: rounded(&noise(pixels * k * k, seed + 20))
                     .iter()
                     .map(|v| (v.abs() + 0.05) as f32 as f64)
                     .collect(),
-                intensity: rounded(noise(pixels, seed + 40))
+                intensity: rounded(&noise(pixels, seed + 40))
                     .iter()
                     .map(|v| v.abs())
                     .collect(),
@@ -153,14 +135,15 @@ fn predicted(case: &Net, device: &Device, dtype: DType) -> Vec<Named> {
     let device = device.clone().autodiff();
     let mut net = BpNet::new(&case.config, &device, dtype).expect("the configuration is valid");
     for (name, parameter) in net.parameters_mut() {
-        let mut values = rounded(values(parameter.clone()));
+        let mut values = rounded(&values(parameter.clone()));
         if name.starts_with("head.") {
             values.iter_mut().for_each(|v| *v *= case.head_scale);
         }
-        *parameter = tensor::<2>(&rounded(values), parameter.dims(), &device, dtype).require_grad();
+        *parameter =
+            tensor::<2>(&rounded(&values), parameter.dims(), &device, dtype).require_grad();
     }
     let map = |seed: u64| {
-        let values = rounded(noise(height * width, seed));
+        let values = rounded(&noise(height * width, seed));
         tensor::<2>(&values, [height, width], &device, dtype)
     };
     let inputs = BlurInputs {
@@ -177,7 +160,7 @@ fn predicted(case: &Net, device: &Device, dtype: DType) -> Vec<Named> {
         ("intensity".to_owned(), values(intensity.clone())),
     ];
     let entries = kernel.dims()[2];
-    let weights = |count: usize, seed: u64| rounded(noise(count, seed));
+    let weights = |count: usize, seed: u64| rounded(&noise(count, seed));
     let of_kernel = weights(height * width * entries, 7);
     let of_intensity = weights(height * width, 8);
     let loss = (kernel * tensor(&of_kernel, [height, width, entries], &device, dtype)).sum()
@@ -217,7 +200,7 @@ fn predictions_are_those_of_f64() {
                 },
                 size: [height, width],
                 head_scale,
-                color: rounded(noise(height * width * 3, seed + 60)),
+                color: rounded(&noise(height * width * 3, seed + 60)),
             };
             let what = format!("{name}: net {height} x {width} / {downscale}, K = {kernel_size}");
             let expected = predicted(&case, &Device::flex(), DType::F64);
