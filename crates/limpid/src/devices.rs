@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use trainer::Settings;
+use trainer::{Gpu, Settings};
 
 /// Arguments of `limpid devices`.
 #[derive(Debug, clap::Args)]
@@ -70,14 +70,12 @@ pub(crate) fn run(arguments: &DevicesArguments) -> Result<ExitCode, Failure> {
     Ok(ExitCode::SUCCESS)
 }
 
-#[cfg(any(feature = "wgpu", feature = "cuda"))]
+/// Those that a runtime reaches.
 fn list_gpus(
     out: &mut impl std::io::Write,
     backend: &str,
     need: Option<Need>,
 ) -> Result<(), Failure> {
-    use trainer::Gpu;
-
     let mib = |bytes: u64| bytes >> 20;
     let gpus: Vec<Gpu> = Gpu::found();
     let mut listed = gpus.iter().filter(|gpu| gpu.runtime == backend).peekable();
@@ -120,10 +118,5 @@ fn list_gpus(
             }
         }
     }
-    Ok(())
-}
-
-#[cfg(not(any(feature = "wgpu", feature = "cuda")))]
-fn list_gpus(_: &mut impl std::io::Write, _: &str, _: Option<Need>) -> Result<(), Failure> {
     Ok(())
 }

@@ -1,7 +1,6 @@
 //! GPUs, and CPUs that play one, that this build's kernels can run on.
 
-use burn::backend::DispatchDevice;
-use burn::tensor::{Device, DeviceType};
+use burn::tensor::Device;
 
 /// Storage buffers that a kernel may have: ours take up to seven, and CubeCL adds one.
 const BUFFERS: u32 = 8;
@@ -36,45 +35,17 @@ pub struct Gpu {
 }
 
 impl Gpu {
-    /// All that this build's runtimes reach, GPUs before CPUs that play one. Opens each of them.
+    /// All that this build's runtimes reach, GPUs before CPUs that play one; none in a build without a runtime for GPUs. Opens
+    /// each of them.
     #[must_use]
     pub fn found() -> Vec<Self> {
-        let mut found: Vec<Self> = [
-            #[cfg(feature = "cuda")]
-            ("cuda", DeviceType::Cuda),
-            #[cfg(feature = "wgpu")]
-            ("wgpu", DeviceType::Wgpu),
-        ]
-        .into_iter()
-        .flat_map(|(runtime, kind)| {
-            let devices = Device::enumerate(kind).into_vec();
-            devices
-                .into_iter()
-                .filter_map(move |device| Self::open(runtime, device))
-        })
-        .collect();
+        let mut found: Vec<Self> = Vec::new();
+        #[cfg(feature = "cuda")]
+        found.extend(runtimes::devices("cuda", burn::tensor::DeviceType::Cuda));
+        #[cfg(feature = "wgpu")]
+        found.extend(runtimes::devices("wgpu", burn::tensor::DeviceType::Wgpu));
         found.sort_by_key(|gpu| gpu.is_software);
         found
-    }
-
-    fn open(runtime: &'static str, device: Device) -> Option<Self> {
-        let DispatchDevice::Cube(cube) = device.as_dispatch() else {
-            return None;
-        };
-        let client = cube.client();
-        let properties = client.properties();
-        let (hardware, memory) = (&properties.hardware, &properties.memory);
-        Some(Self {
-            name: properties.identity.name.clone(),
-            runtime,
-            is_software: properties.identity.physical.is_none(),
-            largest_buffer: memory.max_page_size,
-            memory: memory.max_memory(),
-            buffers: hardware.max_bindings,
-            shared_memory: hardware.max_shared_memory_size,
-            units: hardware.max_units_per_cube,
-            device,
-        })
     }
 
     /// Why it cannot run the kernels, if it cannot.
@@ -103,5 +74,39 @@ impl Gpu {
         let coefficients = 4 * 48 * gaussians;
         let partial_gradients = 4 * 9 * TILES * gaussians * samples;
         coefficients.max(partial_gradients)
+    }
+}
+
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+mod runtimes {
+    use burn::backend::DispatchDevice;
+    use burn::tensor::{Device, DeviceType};
+
+    use super::Gpu;
+
+    /// What a runtime reaches.
+    pub(super) fn devices(runtime: &'static str, kind: DeviceType) -> impl Iterator<Item = Gpu> {
+        let devices = Device::enumerate(kind).into_vec().into_iter();
+        devices.filter_map(move |device| open(runtime, device))
+    }
+
+    fn open(runtime: &'static str, device: Device) -> Option<Gpu> {
+        let DispatchDevice::Cube(cube) = device.as_dispatch() else {
+            return None;
+        };
+        let client = cube.client();
+        let properties = client.properties();
+        let (hardware, memory) = (&properties.hardware, &properties.memory);
+        Some(Gpu {
+            name: properties.identity.name.clone(),
+            runtime,
+            is_software: properties.identity.physical.is_none(),
+            largest_buffer: memory.max_page_size,
+            memory: memory.max_memory(),
+            buffers: hardware.max_bindings,
+            shared_memory: hardware.max_shared_memory_size,
+            units: hardware.max_units_per_cube,
+            device,
+        })
     }
 }

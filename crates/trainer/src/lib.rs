@@ -41,7 +41,6 @@ mod cpu;
 mod cube;
 mod dynamics;
 mod error;
-#[cfg(any(feature = "wgpu", feature = "cuda"))]
 mod gpu;
 mod lifting;
 mod look;
@@ -84,7 +83,6 @@ pub use checkpoint::FILE_NAME as CHECKPOINT_FILE;
 pub use corrections::{Corrections, FrameCorrection};
 pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError};
 pub use glam;
-#[cfg(any(feature = "wgpu", feature = "cuda"))]
 pub use gpu::Gpu;
 pub use model::Model;
 pub use parameter::{Group, Parameter, Rows};
