@@ -76,7 +76,7 @@ impl HostBackend for burn::backend::NdArray {
     }
 }
 
-/// For ops that have no kernel for GPUs yet: their tensors come to main memory and go back.
+/// A copy, and the device is waited for: for results that are a few numbers.
 #[cfg(feature = "cube")]
 impl HostBackend for burn_cubecl::CubeBackend {
     fn elements<T: HostFloat>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]> {
