@@ -77,12 +77,19 @@ pub(crate) fn count_kernel(lens: Lens, splats: &[f32], order: &[u32], counts: &m
     }
 }
 
-/// Number of all slots, behind what `faults` say.
+/// Number of all slots, to entry `entry` of `totals`, which holds the largest u32; and 0 to the one behind it, if the number is
+/// larger than a u32 holds.
 #[cube(launch)]
-pub(crate) fn total_kernel(counts: &[u32], starts: &[u32], faults: &mut [u32], entry: usize) {
-    if ABSOLUTE_POS == 0 {
-        let last = counts.len() - 1;
-        faults[entry] = starts[last] + counts[last];
+pub(crate) fn total_kernel(counts: &[u32], starts: &[u32], totals: &[Atomic<u32>], entry: usize) {
+    let place = ABSOLUTE_POS;
+    if place < counts.len() {
+        let end = starts[place] + counts[place];
+        if end < starts[place] {
+            totals[entry + 1].fetch_min(0u32);
+        }
+        if place == counts.len() - 1 {
+            totals[entry].fetch_min(end);
+        }
     }
 }
 

@@ -14,7 +14,7 @@ use crate::cube::tiles::{count_kernel, emit_kernel, ranges_kernel, total_kernel}
 use crate::error::SplatError;
 
 /// Where [`faults_kernel`] notes what is not finite: means, quats, log_scales, opacity_logits; means and left rotations of what
-/// moves; SH; the pose of the middle and those of the samples. Behind them comes the number of slots.
+/// moves; SH; the pose of the middle and those of the samples. Behind them come the number of slots and whether it is right.
 const FAULTS: usize = 9;
 const MOVING: usize = 4;
 const SH: usize = 6;
@@ -26,7 +26,7 @@ pub(super) fn prepare(scene: Scene) -> Result<Tables, SplatError> {
     scene.camera.check()?;
     let client = scene.client().clone();
     let (items, rows) = (scene.items(), scene.rows);
-    let faults = full(&scene.shapes, [FAULTS + 1], u32::MAX);
+    let faults = full(&scene.shapes, [FAULTS + 2], u32::MAX);
     look_for_faults(&scene, &faults);
     let colors = scene.table("colours", rows * 3, DType::F32)?;
     let (number, dim) = units(&client, rows);
@@ -69,11 +69,10 @@ pub(super) fn prepare(scene: Scene) -> Result<Tables, SplatError> {
         counts.clone().into_buffer_arg(),
     );
     let starts = before(&counts);
-    let (one, of_one) = units(&client, 1);
     total_kernel::launch(
         &client,
-        one,
-        of_one,
+        number.clone(),
+        dim,
         counts.clone().into_buffer_arg(),
         starts.clone().into_buffer_arg(),
         faults.clone().into_buffer_arg(),
@@ -82,6 +81,9 @@ pub(super) fn prepare(scene: Scene) -> Result<Tables, SplatError> {
     // The one time that the device is waited for: buffers are made for the number of slots.
     let found = read(&faults)?;
     name_fault(&found)?;
+    if found[FAULTS + 1] == 0 {
+        return Err(SplatError::TooManyTiles { count: 1 << 32 });
+    }
     let num_slots = found[FAULTS] as usize;
     let slot_table = |name| scene.table(name, num_slots, DType::U32);
     let (tiles_of, items_of) = (slot_table("tiles' lists")?, slot_table("tiles' lists")?);
