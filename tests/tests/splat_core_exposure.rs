@@ -3,7 +3,7 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use limpid_tests::{
-    GradLimits, check_gradients, devices, devices_in, in_pool, noise, tensor, values,
+    GradLimits, check_gradients, computes, devices, devices_in, in_pool, noise, tensor, values,
 };
 use splat_core::{
     Camera, Exposure, Extra, Movers, SplatError, Splats, Transfer, Viewpoint, expose, render,
@@ -218,7 +218,7 @@ fn density_control_gets_its_statistic() {
 
 #[test]
 fn what_does_not_fit_is_refused_by_name() {
-    for (name, device) in devices_in(DType::F64) {
+    for (name, device) in devices() {
         let t = tensors(&device, DType::F32);
         let refused = |change: &dyn Fn(&mut Exposure)| {
             let mut exposure = exposure(&t, Transfer::Srgb);
@@ -244,17 +244,29 @@ fn what_does_not_fit_is_refused_by_name() {
             matches!(error, SplatError::NotFinite { .. }),
             "{name}: {error}"
         );
-        let error = refused(&|e| e.poses = Tensor::zeros([SAMPLES, 3, 4], (&device, DType::F64)));
-        assert!(
-            matches!(
+        let error = refused(&|e| e.poses = Tensor::zeros([0, 3, 4], f32s));
+        assert!(matches!(error, SplatError::Shape { .. }), "{name}: {error}");
+        let mut few_bands = splats(&t);
+        few_bands.sh = few_bands.sh.narrow(1, 0, 12);
+        let exposure_of = || exposure(&t, Transfer::Srgb);
+        let error = expose(few_bands, &view(&t[5], 2), exposure_of(), None).expect_err("no bands");
+        let expected = SplatError::ShDegree {
+            active: 2,
+            stored: 1,
+        };
+        assert_eq!(error, expected, "{name}");
+        if computes(name, &device, DType::F64) {
+            let wide = (&device, DType::F64);
+            let error = refused(&|e| e.poses = Tensor::zeros([SAMPLES, 3, 4], wide));
+            let named = matches!(
                 error,
                 SplatError::Dtype {
                     tensor: "poses",
                     ..
                 }
-            ),
-            "{name}: {error}"
-        );
+            );
+            assert!(named, "{name}: {error}");
+        }
         let error = refused(&|e| {
             e.movers = Some(Movers {
                 means: Tensor::zeros([SAMPLES, N + 1, 3], f32s),

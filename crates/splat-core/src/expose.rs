@@ -61,6 +61,7 @@ pub fn expose(
 ) -> Result<Exposed, SplatError> {
     let standing = splats.left_rotations.take();
     let layout = splats.layout(&middle.cam_from_world)?;
+    layout.check_degree(middle.sh_degree)?;
     let options = (&splats.means.device(), layout.dtype);
     let [n, ..] = exposure.poses.dims();
     check_shape("poses", exposure.poses.dims(), [n.max(1), 3, 4])?;

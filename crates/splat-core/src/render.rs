@@ -124,13 +124,7 @@ pub(crate) fn scene(splats: Splats, cam_from_world: Tensor<2>) -> SceneTensors<D
 /// On a backend that has no splatting kernels, with Burn's message.
 pub fn prepare(splats: &Splats, view: &Viewpoint) -> Result<Prepared, SplatError> {
     let layout = splats.layout(&view.cam_from_world)?;
-    let stored = (layout.sh / 3).isqrt() - 1;
-    if view.sh_degree > stored {
-        return Err(SplatError::ShDegree {
-            active: view.sh_degree,
-            stored,
-        });
-    }
+    layout.check_degree(view.sh_degree)?;
     let scene = scene(splats.clone(), view.cam_from_world.clone());
     match <Dispatch as SplatOps>::project(scene, view.camera.clone(), view.sh_degree) {
         Projected::Done(view) => Ok(Prepared { view, layout }),

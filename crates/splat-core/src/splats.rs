@@ -47,6 +47,17 @@ pub(crate) struct Layout {
     pub(crate) dtype: DType,
 }
 
+impl Layout {
+    /// Refuses SH bands that are not stored.
+    pub(crate) fn check_degree(&self, active: usize) -> Result<(), SplatError> {
+        let stored = (self.sh / 3).isqrt() - 1;
+        if active > stored {
+            return Err(SplatError::ShDegree { active, stored });
+        }
+        Ok(())
+    }
+}
+
 impl Splats {
     /// Plain arrays as tensors of f32.
     ///
