@@ -27,7 +27,7 @@ fn twenty_steps_have_the_same_losses_on_every_device() {
             for (step, (found, expected)) in found.iter().zip(&expected).enumerate() {
                 let error = (found - expected).abs() / expected.abs();
                 // Adam steps by a gradient's sign at first, also where that is rounding: round Gaussians turn by chance.
-                let limit = if step == 0 { 1e-5 } else { 3e-2 };
+                let limit = if step == 0 { 1e-3 } else { 3e-2 };
                 assert!(
                     error < limit,
                     "{name}, {model:?}, step {}: {found} instead of {expected}",
