@@ -34,7 +34,7 @@ pub fn devices() -> Vec<(&'static str, Device)> {
     if let Ok(wanted) = std::env::var("LIMPID_BACKENDS") {
         devices.retain(|(name, _)| wanted.split(',').any(|w| w == *name));
         if devices.is_empty() && cfg!(feature = "wgpu") && wanted == "wgpu" {
-            skipped(&test_name(), "wgpu finds no adapter on this machine");
+            skipped_once("wgpu finds no adapter on this machine");
         } else {
             assert!(
                 !devices.is_empty(),
@@ -56,14 +56,9 @@ pub fn devices_in(dtype: DType) -> Vec<(&'static str, Device)> {
 /// Whether a device computes in `dtype`; where it does not, the test says once that it leaves it out.
 #[must_use]
 pub fn computes(name: &str, device: &Device, dtype: DType) -> bool {
-    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     let computes = device.supports_dtype(dtype);
     if !computes {
-        let (test, why) = (test_name(), format!("{name} does not compute in {dtype:?}"));
-        let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
-        if said.insert(format!("{test}: {why}")) {
-            skipped(&test, &why);
-        }
+        skipped_once(&format!("{name} does not compute in {dtype:?}"));
     }
     computes
 }
@@ -75,7 +70,7 @@ pub fn quick_devices() -> Vec<(&'static str, Device)> {
     devices.retain(|(name, _)| {
         let is_slow = is_software(name);
         if is_slow {
-            skipped(&test_name(), "too many steps for a GPU that a CPU plays");
+            skipped_once("too many steps for a GPU that a CPU plays");
         }
         !is_slow
     });
@@ -92,6 +87,16 @@ fn is_software(name: &str) -> bool {
 #[cfg(not(feature = "wgpu"))]
 fn is_software(_: &str) -> bool {
     false
+}
+
+/// [`skipped`] of the test that runs, once for each reason.
+fn skipped_once(why: &str) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let test = test_name();
+    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+    if said.insert(format!("{test}: {why}")) {
+        skipped(&test, why);
+    }
 }
 
 /// The test that runs: the harness names its thread so.

@@ -188,6 +188,9 @@ fn frame(x: DVec3, a2: DVec3) -> DMat3 {
 #[test]
 fn six_numbers_give_a_rotation_that_follows_them_or_the_documented_axis() {
     const ROWS: usize = 50;
+    if backends().is_empty() {
+        return;
+    }
     let mut kinds = [0; 3];
     property("rotations", 400, |u| {
         let six: Vec<f64> = (0..ROWS)
