@@ -542,7 +542,7 @@ fn an_exposure_sees_the_motion_at_its_moments_and_beyond_the_ends() {
         let means = tensor(&noise(6, 5), [2, 3], &device, DType::F64);
         let times = [0.25, 1.0, 1.75, -0.25, 2.25, 9.0];
         let at = Tensor::<1>::from_data(times, (&device, DType::F64));
-        let (moved, rotations) = bases.exposed_at(&logits, &means, &at);
+        let (moved, rotations) = bases.exposed_at(&logits, &means, &at, &times);
         assert_eq!(moved.dims(), [6, 2, 3], "{name}");
         for (i, time) in times.into_iter().enumerate().take(3) {
             let motion = bases.motion_at(&logits, time as f32);
@@ -557,7 +557,7 @@ fn an_exposure_sees_the_motion_at_its_moments_and_beyond_the_ends() {
         // Translations alone go on as they came: the second basis, whose rotation stays.
         let one = tensor(&[-60.0, 60.0], [1, 2], &device, DType::F64);
         let origin = tensor(&[0.0; 3], [1, 3], &device, DType::F64);
-        let (moved, _) = bases.exposed_at(&one, &origin, &at);
+        let (moved, _) = bases.exposed_at(&one, &origin, &at, &times);
         let moved = values(moved);
         assert_close(
             &moved[9..12],
@@ -590,7 +590,9 @@ fn an_exposures_moments_have_gradients() {
             let bases = two_bases(&device, DType::F64);
             let logits = tensor(&[1.0, 0.0, -2.0, 0.5], [2, 2], &device, DType::F64);
             let means = tensor(&means, [2, 3], &device, DType::F64);
-            let (moved, rotations) = bases.exposed_at(&logits, &means, &t[0].clone().reshape([4]));
+            let times = t[0].clone().reshape([4]);
+            let known = values(times.clone());
+            let (moved, rotations) = bases.exposed_at(&logits, &means, &times, &known);
             moved.sin().sum() + rotations.narrow(2, 0, 1).sum()
         });
     }

@@ -13,7 +13,7 @@ const ARROWS: [(&str, &[&str]); 13] = [
     ("splat-core", &["host"]),
     ("motion-bases", &["host", "property"]),
     ("bpnet", &["host"]),
-    ("capture", &[]),
+    ("capture", &["host"]),
     ("unseen-views", &["splat-core", "property"]),
     ("io", &["splat-core"]),
     (

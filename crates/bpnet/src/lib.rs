@@ -49,7 +49,9 @@ pub use blur::blur;
 pub use encoding::ENCODING_CHANNELS;
 pub use error::BpNetError;
 pub use extractor::FEATURE_CHANNELS;
-pub use field::{BlurField, Composite, cell_means, composite, kernel_center_loss};
+pub use field::{
+    BlurField, Composite, cell_means, composite, composite_trusted, kernel_center_loss,
+};
 pub use limits::{MAX_DOWNSCALE, MAX_KERNEL_SIZE};
 pub use net::{
     BlurInputs, BpNet, BpNetConfig, EMBEDDING_CHANNELS, Extractor, HIDDEN_CHANNELS, HeadInit,

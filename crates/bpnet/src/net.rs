@@ -225,6 +225,22 @@ impl BpNet {
         inputs: &BlurInputs,
         extractor: Extractor,
     ) -> Result<BlurField, BpNetError> {
+        self.check_inputs(frame, inputs)?;
+        self.check_finite(inputs)?;
+        self.forward_trusted(frame, inputs, extractor)
+    }
+
+    /// As [`Self::forward`], but trusts that inputs and parameters are finite: what is not gives a field that is not, or wrong.
+    /// For those who look at what comes of it, as training does at losses and gradients; the device is not waited for.
+    ///
+    /// # Errors
+    /// [`BpNetError`] when the inputs disagree in size, are not of the parameters' element type, or `frame` has no embedding.
+    pub fn forward_trusted(
+        &self,
+        frame: usize,
+        inputs: &BlurInputs,
+        extractor: Extractor,
+    ) -> Result<BlurField, BpNetError> {
         let whole = self.check_inputs(frame, inputs)?;
         let [height, width] = whole.map(|side| side.div_ceil(self.downscale));
         let column = |map: &Tensor<2>| constant(map.clone()).unsqueeze_dim::<3>(2);
@@ -309,6 +325,15 @@ impl BpNet {
         BpNetError::check_same_dtype("colour", color.dtype(), dtype)?;
         BpNetError::check_same_dtype("disparity", disparity.dtype(), dtype)?;
         BpNetError::check_same_dtype("mask", mask.dtype(), dtype)?;
+        Ok([height, width])
+    }
+
+    fn check_finite(&self, inputs: &BlurInputs) -> Result<(), BpNetError> {
+        let BlurInputs {
+            color,
+            disparity,
+            mask,
+        } = inputs;
         let parameters = self.parameters();
         let maps = [disparity, mask].map(count_not_finite);
         let weights = parameters
@@ -323,7 +348,7 @@ impl BpNet {
                 BpNetError::check_finite(name, &parameter, parameter.dims()[1])?;
             }
         }
-        Ok([height, width])
+        Ok(())
     }
 }
 

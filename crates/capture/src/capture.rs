@@ -1,12 +1,11 @@
 //! Path, focus and lens of every frame, and the poses that follow from them.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use host::read;
 
-use crate::motion::{moved, shift_in_image, turns};
+use crate::motion::{RIGID, moved, shift_in_image, turns};
 use crate::samples::Sample;
-
-/// Numbers of a rigid motion: a rotation vector (rad) and a translation (scene sizes), in the camera's axes.
-pub const RIGID: usize = 6;
+use crate::taken::Taken;
 
 /// What a camera did while it took N frames: the tensors that can be trained, all of rank 2.
 ///
@@ -127,49 +126,31 @@ impl Capture {
         self.paths = self.paths.clone() + bends.reshape([num_frames, RIGID * degree]);
     }
 
-    /// Length of a frame's path in the image at the depth S, px; `focal_px` is the focal length.
-    ///
-    /// What turns around the optical axis is not counted.
+    /// What the camera did in a frame, in main memory: the device is waited for once.
     ///
     /// # Panics
     /// Where there is no such frame.
     #[must_use]
-    pub fn path_px(&self, frame: usize, focal_px: f64) -> f64 {
-        let path = numbers(&self.paths.clone().narrow(0, frame, 1));
-        // A turn of (x, y) moves what is ahead by (-y, x), a translation of one scene size at depth S by 1.
-        let at = |s: f64| -> [f64; 2] {
-            let mut place = [0.0; 2];
-            for (k, step) in path.chunks_exact(RIGID).enumerate() {
-                let power = s.powi(k as i32 + 1);
-                place[0] += power * (step[1] + step[3]);
-                place[1] += power * (step[4] - step[0]);
-            }
-            place
-        };
-        let parts = 8;
-        let moment = |k: usize| k as f64 / parts as f64 - 0.5;
-        (0..parts)
-            .map(|k| {
-                let ([x0, y0], [x1, y1]) = (at(moment(k)), at(moment(k + 1)));
-                focal_px * (x1 - x0).hypot(y1 - y0)
-            })
-            .sum()
+    pub fn taken(&self, frame: usize) -> Taken {
+        let row = |tensor: &Tensor<2>, row| tensor.clone().detach().narrow(0, row, 1);
+        let all = [
+            row(&self.paths, frame),
+            row(&self.focus, frame),
+            row(&self.aperture, 0),
+            row(&self.shutter, 0),
+        ];
+        let mut path: Vec<f64> = read(Tensor::cat(all.to_vec(), 1)).iter().collect();
+        let [focus, aperture, shutter] = path
+            .split_off(RIGID * self.degree())
+            .try_into()
+            .expect("three numbers beside the path");
+        Taken {
+            path,
+            focus,
+            aperture,
+            shutter,
+        }
     }
-
-    /// Diameter of the disc that a point at depth S / `disparity` becomes in a frame, px.
-    ///
-    /// # Panics
-    /// Where there is no such frame.
-    #[must_use]
-    pub fn disc_px(&self, frame: usize, focal_px: f64, disparity: f64) -> f64 {
-        let focus = numbers(&self.focus.clone().narrow(0, frame, 1))[0];
-        2.0 * focal_px * (numbers(&self.aperture)[0] * (focus - disparity)).abs()
-    }
-}
-
-fn numbers(tensor: &Tensor<2>) -> Vec<f64> {
-    let values = tensor.clone().detach().try_into_vec_as::<f64>();
-    values.expect("a float tensor can be read back")
 }
 
 #[cfg(test)]
@@ -267,7 +248,8 @@ mod tests {
         assert!(largest(SIZE / 1.3) < 1e-12, "in focus");
         for depth in [1.0, 2.0, 5.0] {
             // The outermost of nine points lies at sqrt(8.5 / 9).
-            let expected = 0.5 * capture.disc_px(0, 1.0, SIZE / depth) * (8.5_f64 / 9.0).sqrt();
+            let expected =
+                0.5 * capture.taken(0).disc_px(1.0, SIZE / depth) * (8.5_f64 / 9.0).sqrt();
             let found = largest(depth);
             assert!(
                 (found - expected).abs() < 1e-12,
@@ -296,7 +278,7 @@ mod tests {
             .windows(2)
             .map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]))
             .sum();
-        let found = capture.path_px(0, 100.0);
+        let found = capture.taken(0).path_px(100.0);
         assert!(
             (found - 100.0 * length).abs() < 0.05 * found,
             "{found} px, {} px",

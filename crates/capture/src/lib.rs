@@ -22,13 +22,15 @@
 //! let taken = samples(8, [0.5, 0.0]);
 //! let poses = capture.poses(0, &given, &taken, 4.0);
 //! assert_eq!(poses.dims(), [8, 3, 4]);
-//! assert!(capture.path_px(0, 200.0) > 1.9);
+//! assert!(capture.taken(0).path_px(200.0) > 1.9);
 //! ```
 
 mod capture;
 mod motion;
 mod samples;
+mod taken;
 
-pub use capture::{Capture, RIGID};
-pub use motion::{moved, shift_in_image, turns};
+pub use capture::Capture;
+pub use motion::{RIGID, moved, shift_in_image, turns};
 pub use samples::{GOLDEN_ANGLE, Sample, samples, samples_for};
+pub use taken::Taken;

@@ -11,6 +11,8 @@
 use burn::backend::{Backend, Dispatch, backend_extension, tensor::FloatTensor};
 use burn::tensor::Tensor;
 
+use crate::read;
+
 /// Asked of the device, so that a tensor is read back only if the answer is bad.
 #[backend_extension(
     Flex: cfg(feature = "flex"),
@@ -39,7 +41,7 @@ pub fn all_zero(counts: Vec<Tensor<1>>) -> bool {
     if counts.is_empty() {
         return true;
     }
-    let counts = Tensor::cat(counts, 0).into_data();
+    let counts = read(Tensor::cat(counts, 0));
     counts.iter::<f64>().all(|count| count == 0.0)
 }
 
@@ -51,7 +53,7 @@ pub fn first_not_finite<const D: usize>(tensor: &Tensor<D>) -> Option<(usize, f6
     if all_zero(vec![count_not_finite(tensor)]) {
         return None;
     }
-    let values = tensor.clone().inner().into_data();
+    let values = read(tensor.clone().inner());
     let mut values = values.iter::<f64>().enumerate();
     values.find(|(_, v)| !v.is_finite())
 }

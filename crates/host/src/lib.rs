@@ -22,6 +22,8 @@ mod buffers;
 pub mod cube;
 #[cfg(feature = "burn")]
 mod finite;
+#[cfg(feature = "burn")]
+mod read;
 mod real;
 #[cfg(feature = "burn")]
 mod tensors;
@@ -30,6 +32,8 @@ mod vectors;
 pub use buffers::filled;
 #[cfg(feature = "burn")]
 pub use finite::{all_zero, count_not_finite, first_not_finite};
+#[cfg(feature = "burn")]
+pub use read::{WAIT, read, try_read, waiting};
 pub use real::Real;
 #[cfg(feature = "burn")]
 pub use tensors::{HostBackend, HostFloat, pass_back, tensor};

@@ -110,20 +110,23 @@ impl MotionBases {
     /// The same at times within an exposure, `[T]`, with the times' gradient: the motion of the first and the last frame goes
     /// on for up to half a frame beyond the ends.
     ///
+    /// `known` are the same times in main memory: they choose the frames that each lies between, so that the device need not
+    /// be waited for. Rounding may tell them apart, since motion is continuous in time.
+    ///
     /// # Panics
-    /// As [`Self::motion_at`].
+    /// As [`Self::motion_at`], or if there are not as many of both.
     #[must_use]
     pub fn exposed_at(
         &self,
         coefficients: &Tensor<2>,
         means: &Tensor<2>,
         times: &Tensor<1>,
+        known: &[f64],
     ) -> (Tensor<3>, Tensor<4>) {
+        assert_eq!(times.dims(), [known.len()], "the times are known");
         let last = self.num_frames.saturating_sub(1);
         let times = times.clone().clamp(-0.5, last as f64 + 0.5);
-        let seen = times.clone().detach().try_into_vec_as::<f32>();
-        let moments = seen.expect("a float tensor can be read back").into_iter();
-        let moments = moments.enumerate().map(|(i, time)| {
+        let moments = known.iter().enumerate().map(|(i, time)| {
             assert!(!time.is_nan(), "motion was asked for at a time that is NaN");
             let floor = (time.max(0.0).floor() as usize).min(last.saturating_sub(1));
             let part = times.clone().slice_dim(0, i..i + 1) - floor as f64;

@@ -180,12 +180,30 @@ pub(crate) enum Projected<B: Backend> {
     Refused(SplatError),
 }
 
+impl<B: Backend> From<Result<PreparedView<B>, SplatError>> for Projected<B> {
+    fn from(result: Result<PreparedView<B>, SplatError>) -> Self {
+        match result {
+            Ok(view) => Self::Done(view),
+            Err(error) => Self::Refused(error),
+        }
+    }
+}
+
 /// What comes out of [`SplatOps::rasterize`].
 #[derive(Clone, Debug, ExtensionType)]
 pub(crate) enum Blended<B: Backend> {
     /// [H, W, 5 + F].
     Done(FloatTensor<B>),
     Refused(SplatError),
+}
+
+impl<B: Backend> From<Result<FloatTensor<B>, SplatError>> for Blended<B> {
+    fn from(result: Result<FloatTensor<B>, SplatError>) -> Self {
+        match result {
+            Ok(output) => Self::Done(output),
+            Err(error) => Self::Refused(error),
+        }
+    }
 }
 
 /// A picture that was exposed.
@@ -204,6 +222,15 @@ pub(crate) enum Collected<B: Backend> {
     Refused(SplatError),
 }
 
+impl<B: Backend> From<Result<Picture<B>, SplatError>> for Collected<B> {
+    fn from(result: Result<Picture<B>, SplatError>) -> Self {
+        match result {
+            Ok(picture) => Self::Done(picture),
+            Err(error) => Self::Refused(error),
+        }
+    }
+}
+
 /// The ops of this crate, for the backends that are compiled in. Shapes and float types were checked before.
 #[backend_extension(
     Flex: cfg(feature = "flex"),
@@ -213,8 +240,12 @@ pub(crate) enum Collected<B: Backend> {
 )]
 pub(crate) trait SplatOps: Backend {
     /// Projects, culls, sorts by depth and lists by tile. Nothing of this is tracked.
+    ///
+    /// `features` [N, F] are those that will be blended, if they are known already (F = 0 where they are not): a device that has
+    /// to be waited for looks at all inputs at once.
     fn project(
         #[extension_type] scene: SceneTensors<Self>,
+        features: FloatTensor<Self>,
         camera: Camera,
         sh_degree: usize,
     ) -> Projected<Self>;

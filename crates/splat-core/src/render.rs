@@ -123,10 +123,27 @@ pub(crate) fn scene(splats: Splats, cam_from_world: Tensor<2>) -> SceneTensors<D
 /// # Panics
 /// On a backend that has no splatting kernels, with Burn's message.
 pub fn prepare(splats: &Splats, view: &Viewpoint) -> Result<Prepared, SplatError> {
+    prepare_for(splats, view, None)
+}
+
+/// [`prepare`], with a look at the features that will be blended, where they are known: a device is waited for but once.
+fn prepare_for(
+    splats: &Splats,
+    view: &Viewpoint,
+    features: Option<&Tensor<2>>,
+) -> Result<Prepared, SplatError> {
     let layout = splats.layout(&view.cam_from_world)?;
     layout.check_degree(view.sh_degree)?;
+    let features = match features {
+        Some(features) => {
+            check_features(features, &layout)?;
+            features.clone()
+        }
+        None => no_features(splats, &layout),
+    };
     let scene = scene(splats.clone(), view.cam_from_world.clone());
-    match <Dispatch as SplatOps>::project(scene, view.camera.clone(), view.sh_degree) {
+    let (features, camera) = (features.into_dispatch(), view.camera.clone());
+    match <Dispatch as SplatOps>::project(scene, features, camera, view.sh_degree) {
         Projected::Done(view) => Ok(Prepared { view, layout }),
         Projected::Refused(error) => Err(error),
     }
@@ -163,11 +180,10 @@ pub fn rasterize(
     let options = (&splats.means.device(), dtype);
     let features = match extra.features {
         Some(features) => {
-            check_shape("features", features.dims(), [rows, features.dims()[1]])?;
-            check_dtype("features", features.dtype(), dtype)?;
+            check_features(&features, &prepared.layout)?;
             features
         }
-        None => Tensor::zeros([rows, 0], options),
+        None => no_features(&splats, &prepared.layout),
     };
     let screen_grad = match extra.screen_grad {
         Some(screen) => {
@@ -192,6 +208,16 @@ pub fn rasterize(
     }
 }
 
+fn check_features(features: &Tensor<2>, layout: &Layout) -> Result<(), SplatError> {
+    let [_, width] = features.dims();
+    check_shape("features", features.dims(), [layout.rows, width])?;
+    check_dtype("features", features.dtype(), layout.dtype)
+}
+
+fn no_features(splats: &Splats, layout: &Layout) -> Tensor<2> {
+    Tensor::zeros([layout.rows, 0], (&splats.means.device(), layout.dtype))
+}
+
 /// [`prepare`] and [`rasterize`] in a row.
 ///
 /// # Errors
@@ -200,6 +226,6 @@ pub fn rasterize(
 /// # Panics
 /// As those.
 pub fn render(splats: Splats, view: &Viewpoint, extra: Extra) -> Result<Rendered, SplatError> {
-    let prepared = prepare(&splats, view)?;
+    let prepared = prepare_for(&splats, view, extra.features.as_ref())?;
     rasterize(&prepared, splats, view.cam_from_world.clone(), extra)
 }

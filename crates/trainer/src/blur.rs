@@ -144,12 +144,12 @@ impl BlurModel {
         }
     }
 
-    /// Keeps what later iterations want to know of a frame that was shown and learned from.
-    pub(crate) fn learned(&mut self, frame: usize, trace: Trace) {
-        match (self, trace) {
-            (Self::Kernels(kernels), Trace::Kernels(trace)) => kernels.learned(frame, *trace),
-            (Self::Both(both), Trace::Both(_, trace)) => both.kernels.learned(frame, *trace),
-            (Self::Off | Self::Kernels(_) | Self::Camera(_) | Self::Both(_), _) => {}
+    /// Keeps what later iterations want to know of a frame that was learned from: the values of [`Trace::lesson`].
+    pub(crate) fn learned(&mut self, frame: usize, lesson: Vec<f32>) {
+        match self {
+            Self::Off | Self::Camera(_) => {}
+            Self::Kernels(kernels) => kernels.learned(frame, lesson),
+            Self::Both(both) => both.kernels.learned(frame, lesson),
         }
     }
 
@@ -225,6 +225,11 @@ impl BlurModel {
 }
 
 impl Trace {
+    /// What later iterations want to know of the view, if anything; see [`BlurModel::learned`].
+    pub(crate) fn lesson(&self) -> Option<Tensor<2>> {
+        self.kernels().and_then(KernelTrace::shifts)
+    }
+
     fn kernels(&self) -> Option<&KernelTrace> {
         match self {
             Self::Kernels(trace) | Self::Both(_, trace) => Some(trace),

@@ -91,11 +91,9 @@ impl Run {
             .into_iter()
             .map(|(name, t)| (name, t.dims().to_vec(), host(t)))
             .collect();
-        let density = &state.density;
-        // Counts stay far below 2^24, where f32 is exact.
-        let counts = density.count.iter().map(|&c| c as f32).collect();
-        let statistics = [("grad_sum", density.grad_sum.clone()), ("count", counts)];
-        for (name, values) in statistics {
+        let DensityStats { grad_sum, count } = &state.density;
+        for (name, values) in [("grad_sum", grad_sum), ("count", count)] {
+            let values = host(values.clone());
             buffers.push((format!("density.{name}"), vec![values.len()], values));
         }
 
@@ -213,7 +211,10 @@ impl Run {
                 "the density statistics do not fit the Gaussians",
             ));
         }
-        let count = count.into_iter().map(|c| c as u32).collect();
+        let density = DensityStats {
+            grad_sum: tensor(grad_sum, [model.num_gaussians()], &inner),
+            count: tensor(count, [model.num_gaussians()], &inner),
+        };
         let plan = Plan {
             schedule: schedule_of(&header.settings, &header.views, &model, header.has_unseen),
             settings: header.settings,
@@ -225,7 +226,7 @@ impl Run {
             state: State {
                 model,
                 optimizer,
-                density: DensityStats { grad_sum, count },
+                density,
                 progress: header.progress,
             },
             device,

@@ -10,7 +10,7 @@ pub use rows::{RowEdit, RowKind, add_to_rows, gather_rows};
 pub use split::{SplitOffsets, split_offsets};
 
 use crate::tensors::leaf;
-use burn::tensor::Tensor;
+use burn::tensor::{DType, Device, Tensor};
 use rows::Builder;
 use std::ops::Range;
 
@@ -20,22 +20,23 @@ const SPLIT_CHILDREN: u32 = 2;
 /// A child's scale is its parent's divided by this.
 const SPLIT_SHRINK: f64 = 1.6;
 
-/// Screen-space gradients gathered since the last density control.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// Screen-space gradients gathered since the last density control; they stay on the device.
+#[derive(Clone, Debug)]
 pub struct DensityStats {
     /// Sum of the norms of the screen-space gradient (NDC units), `[N]`.
-    pub grad_sum: Vec<f32>,
-    /// Number of iterations in which the Gaussian was drawn, `[N]`.
-    pub count: Vec<u32>,
+    pub grad_sum: Tensor<1>,
+    /// Number of iterations in which the Gaussian was drawn, `[N]`. Far below 2^24, where f32 is exact.
+    pub count: Tensor<1>,
 }
 
 impl DensityStats {
     /// Nothing seen yet of `rows` Gaussians.
     #[must_use]
-    pub fn new(rows: usize) -> Self {
+    pub fn new(rows: usize, device: &Device) -> Self {
+        let zeros = Tensor::zeros([rows], (&device.clone().inner(), DType::F32));
         Self {
-            grad_sum: vec![0.0; rows],
-            count: vec![0; rows],
+            grad_sum: zeros.clone(),
+            count: zeros,
         }
     }
 
@@ -44,35 +45,21 @@ impl DensityStats {
     ///
     /// # Panics
     /// Panics if a length is not N.
-    pub fn accumulate(&mut self, screen_grad: &[f32], radii: &[f32]) {
-        assert_eq!(
-            screen_grad.len(),
-            self.count.len(),
-            "one gradient norm per Gaussian"
-        );
-        assert_eq!(radii.len(), self.count.len(), "one radius per Gaussian");
-        for (row, (grad, radius)) in screen_grad.iter().zip(radii).enumerate() {
-            if *radius > 0.0 {
-                self.grad_sum[row] += *grad;
-                self.count[row] += 1;
-            }
-        }
+    pub fn accumulate(&mut self, screen_grad: Tensor<1>, radii: Tensor<1>) {
+        let rows = self.count.dims();
+        assert_eq!(screen_grad.dims(), rows, "one gradient norm per Gaussian");
+        assert_eq!(radii.dims(), rows, "one radius per Gaussian");
+        let hidden = radii.inner().lower_equal_elem(0.0);
+        let drawn = self.count.ones_like().mask_fill(hidden.clone(), 0.0);
+        let norms = screen_grad.inner().mask_fill(hidden, 0.0);
+        self.grad_sum = self.grad_sum.clone() + norms;
+        self.count = self.count.clone() + drawn;
     }
 
     /// The mean gradient norm of every Gaussian, `[N]`; zero for one that was never drawn.
     #[must_use]
-    pub fn average(&self) -> Vec<f32> {
-        self.grad_sum
-            .iter()
-            .zip(&self.count)
-            .map(|(sum, count)| {
-                if *count == 0 {
-                    0.0
-                } else {
-                    *sum / *count as f32
-                }
-            })
-            .collect()
+    pub fn average(&self) -> Tensor<1> {
+        self.grad_sum.clone() / self.count.clone().clamp_min(1.0)
     }
 }
 

@@ -74,6 +74,14 @@ pub enum TrainError {
         /// What is not finite, and where in it.
         problem: String,
     },
+    /// The device failed: it is lost, or has no memory left.
+    #[error(
+        "the device failed ({reason}); a run goes on from its last checkpoint, on another device too: `--resume --backend flex`"
+    )]
+    Device {
+        /// What it says.
+        reason: String,
+    },
     /// The first fit of the motion bases diverged.
     #[error(
         "first fit of the motion bases, step {step}: the gradient of {name} is not finite ({problem}); check the tracks and the depth"

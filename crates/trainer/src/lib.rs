@@ -58,6 +58,7 @@ mod placement;
 mod plan;
 mod population;
 mod random;
+mod readings;
 mod run;
 mod scene_shift;
 mod scores;

@@ -4,9 +4,10 @@
 //! score is that of the PNG which is written.
 
 use crate::cpu::ssim::{WINDOW_EDGE, ssim_map};
-use crate::ops::TrainerOps;
+use crate::ops::{LARGE_SCALE, TrainerOps};
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
+use host::read;
 
 /// PSNR of identical pictures, in dB, so that a score stays a number that JSON can hold. One unit of
 /// 8 bit off in a single sample of a million is 108 dB; anything better counts as this much.
@@ -50,26 +51,51 @@ pub fn masked_psnr(a: &[f32], b: &[f32], mask: &[bool]) -> Option<f64> {
 /// Panics if the pictures' shapes or dtypes differ, or if `valid` does not have H W entries.
 #[must_use]
 pub fn psnr_of(picture: &Tensor<3>, target: &Tensor<3>, valid: Option<&[bool]>) -> f64 {
-    let [height, width, channels] = picture.dims();
-    assert_eq!(
-        target.dims(),
-        [height, width, channels],
-        "two pictures of one size"
-    );
-    assert_eq!(channels, 3, "pictures have three channels");
-    let pixels = valid.map_or(height * width, |valid| {
-        assert_eq!(valid.len(), height * width, "one validity per pixel");
-        valid.iter().filter(|valid| **valid).count()
-    });
-    if pixels == 0 {
-        return f64::NAN;
+    let error = SquaredError::of(picture, target, valid);
+    let sums: Vec<f64> = read(error.sums.clone()).iter().collect();
+    error.psnr(&sums)
+}
+
+/// The squared differences of two pictures, to be read together with other numbers.
+pub(crate) struct SquaredError {
+    /// See [`TrainerOps::squared_error`], `[2]`, without a graph.
+    pub(crate) sums: Tensor<1>,
+    samples: usize,
+}
+
+impl SquaredError {
+    /// See [`psnr_of`].
+    pub(crate) fn of(picture: &Tensor<3>, target: &Tensor<3>, valid: Option<&[bool]>) -> Self {
+        let [height, width, channels] = picture.dims();
+        assert_eq!(
+            target.dims(),
+            [height, width, channels],
+            "two pictures of one size"
+        );
+        assert_eq!(channels, 3, "pictures have three channels");
+        let pixels = valid.map_or(height * width, |valid| {
+            assert_eq!(valid.len(), height * width, "one validity per pixel");
+            valid.iter().filter(|valid| **valid).count()
+        });
+        let sums = <Dispatch as TrainerOps>::squared_error(
+            picture.clone().inner().into_dispatch(),
+            target.clone().inner().into_dispatch(),
+            valid,
+        );
+        Self {
+            sums: Tensor::from_dispatch(sums),
+            samples: pixels * 3,
+        }
     }
-    let error = <Dispatch as TrainerOps>::squared_error(
-        picture.clone().inner().into_dispatch(),
-        target.clone().inner().into_dispatch(),
-        valid,
-    );
-    decibel(error, pixels * 3)
+
+    /// PSNR in dB; `sums` are the values of `self.sums`. Not a number where no pixel is valid.
+    pub(crate) fn psnr(&self, sums: &[f64]) -> f64 {
+        if self.samples == 0 {
+            return f64::NAN;
+        }
+        let scale = f64::from(LARGE_SCALE);
+        decibel(sums[0] + sums[1] / (scale * scale), self.samples)
+    }
 }
 
 /// Structural similarity (Wang et al., 2004): 11x11 Gaussian window of sigma 1.5, C1 = 0.01², C2 = 0.03²,

@@ -25,6 +25,10 @@ pub(crate) struct DepthTargets<B: Backend> {
     pub(crate) weight: FloatTensor<B>,
 }
 
+/// By how much [`TrainerOps::squared_error`] scales large differences: a power of two, and no product of numbers inside f32
+/// falls below it.
+pub(crate) const LARGE_SCALE: f32 = 1.0 / (1_u128 << 90) as f32;
+
 /// The ops that no gradient passes through: called with tensors without a graph.
 #[backend_extension(
     Flex: cfg(feature = "flex"),
@@ -56,8 +60,13 @@ pub(crate) trait TrainerOps: Backend {
         band: usize,
     ) -> FloatTensor<Self>;
 
-    /// Sum of squared differences of two pictures `[H, W, 3]`, over the `valid` pixels [H, W].
-    fn squared_error(a: FloatTensor<Self>, b: FloatTensor<Self>, valid: Option<&[bool]>) -> f64;
+    /// Sums of squared differences of two pictures `[H, W, 3]`, over the `valid` pixels [H, W], `[2]`: of some samples, and of
+    /// the others with their differences times [`LARGE_SCALE`], since their squares may lie beyond f32.
+    fn squared_error(
+        a: FloatTensor<Self>,
+        b: FloatTensor<Self>,
+        valid: Option<&[bool]>,
+    ) -> FloatTensor<Self>;
 }
 
 /// The op with a backward of its own.

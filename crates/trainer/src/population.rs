@@ -107,15 +107,18 @@ impl State {
             prune_opacity: g.prune_opacity as f32,
             max_gaussians: plan.max_gaussians().saturating_sub(reserved),
         };
-        let world = &self.model.world;
-        let (log_scales, quats) = (host(world.log_scales.clone()), host(world.quats.clone()));
-        let logits = host(world.opacity_logits.clone());
+        let Judged {
+            average,
+            log_scales,
+            quats,
+            logits,
+        } = self.judged();
         let edit = plan_density(
             &DensityRows {
-                average: &self.density.average(),
+                average: &average,
                 log_scales: &log_scales,
                 opacity_logits: &logits,
-                num_dynamic: world.num_dynamic,
+                num_dynamic: self.model.num_dynamic(),
             },
             &options,
         );
@@ -126,7 +129,7 @@ impl State {
             &mut generator(plan.settings.seed, Purpose::Split, it as u64),
         );
         if edit.is_identity(self.model.num_gaussians()) {
-            self.density = DensityStats::new(edit.len());
+            self.forget_density(edit.len());
             return;
         }
         self.edit(&edit, |_, tensor, edit| gather_rows(tensor, edit));
@@ -149,8 +152,49 @@ impl State {
             }
         }
         self.model.world.num_dynamic = edit.num_dynamic;
-        self.density = DensityStats::new(edit.len());
+        self.forget_density(edit.len());
     }
+
+    /// Statistics begin anew, of so many Gaussians.
+    fn forget_density(&mut self, rows: usize) {
+        self.density = DensityStats::new(rows, &self.model.world.means.device());
+    }
+
+    /// What density control looks at: the device is waited for once.
+    fn judged(&self) -> Judged {
+        let world = &self.model.world;
+        let plain = |tensor: &Tensor<2>| tensor.clone().inner();
+        let table = Tensor::cat(
+            vec![
+                self.density.average().unsqueeze_dim(1),
+                plain(&world.log_scales),
+                plain(&world.quats),
+                plain(&world.opacity_logits),
+            ],
+            1,
+        );
+        let mut judged = Judged::default();
+        for row in host(table).as_chunks::<9>().0 {
+            judged.average.push(row[0]);
+            judged.log_scales.extend(&row[1..4]);
+            judged.quats.extend(&row[4..8]);
+            judged.logits.push(row[8]);
+        }
+        judged
+    }
+}
+
+/// Rows of all Gaussians in main memory.
+#[derive(Default)]
+struct Judged {
+    /// Mean screen-space gradients, `[N]`.
+    average: Vec<f32>,
+    /// [N, 3].
+    log_scales: Vec<f32>,
+    /// [N, 4].
+    quats: Vec<f32>,
+    /// Of opacities, `[N]`.
+    logits: Vec<f32>,
 }
 
 /// `tensor` with `rows` inserted before row `at`: a new leaf.

@@ -77,7 +77,8 @@ impl Run {
             .map(|(sample, time)| self.through_lens(shot, sample, &trajectory.pose(*time)));
         let poses = Tensor::cat(poses.collect(), 0);
         let options = (&world.means.device(), world.means.dtype());
-        let times = Tensor::<1>::from_data(TensorData::new(times, [taken.len()]), options);
+        let moments =
+            Tensor::<1>::from_data(TensorData::new(times.clone(), [taken.len()]), options);
         let splats = world.pose(shot.time).splats;
         let middle = Viewpoint::new(
             &view.camera,
@@ -87,7 +88,7 @@ impl Run {
         );
         let exposure = Exposure {
             poses,
-            movers: world.exposed_at(&times),
+            movers: world.exposed_at(&moments, &times),
             transfer: self.settings().camera.transfer.into(),
         };
         Ok(to_image(expose(splats, &middle, exposure, None)?.color))

@@ -17,7 +17,7 @@ impl State {
     /// Before the first iteration.
     pub(crate) fn new(model: Model) -> Self {
         Self {
-            density: DensityStats::new(model.num_gaussians()),
+            density: DensityStats::new(model.num_gaussians(), &model.world.means.device()),
             optimizer: Optimizer::default(),
             progress: Progress::default(),
             model,

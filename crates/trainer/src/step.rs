@@ -2,18 +2,20 @@
 
 use crate::TrainError;
 use crate::adam::{AdamStep, NonFiniteGradient, finite_gradient};
+use crate::blur::Trace;
 use crate::look::Look;
-use crate::metrics::psnr_of;
+use crate::metrics::SquaredError;
 use crate::model::Model;
 use crate::objective::Objective;
 use crate::optimizer::learning_rate;
 use crate::parameter::Parameter;
+use crate::readings::Readings;
 use crate::run::Run;
 use crate::tensors::host;
 use crate::trainer::Trainer;
 use crate::views::ViewRef;
 use burn::tensor::{Gradients, Tensor};
-use host::{all_zero, count_not_finite};
+use host::count_not_finite;
 use tracing::trace_span;
 
 /// What an iteration did.
@@ -68,7 +70,8 @@ impl Trainer {
         };
         let shown = model.show(&look, None)?;
         let target = shown.target(&view);
-        let psnr = trace_span!("psnr").in_scope(|| psnr_of(&shown.seen, &target, view.valid));
+        let error =
+            trace_span!("psnr").in_scope(|| SquaredError::of(&shown.seen, &target, view.valid));
         let objective = Objective {
             plan,
             world: &model.world,
@@ -78,27 +81,30 @@ impl Trainer {
 
         let (names, values): (Vec<_>, Vec<_>) = terms.0.into_iter().unzip();
         let stacked = Tensor::cat(values, 0);
-        let values: Vec<f64> = host(stacked.clone().detach())
-            .into_iter()
-            .map(f64::from)
-            .collect();
-        if values.iter().any(|v| !v.is_finite()) {
+        let mut grads = trace_span!("backward").in_scope(|| stacked.clone().sum().backward());
+        let norms = screen_grad.and_then(|screen| screen.grad_remove(&mut grads));
+        let gradients = take_gradients(model, &mut grads);
+
+        let mut readings = Readings::default();
+        let values = readings.add(stacked);
+        let sums = readings.add(error.sums.clone());
+        let lesson = shown.trace.as_ref().and_then(Trace::lesson);
+        let lesson = lesson.map(|lesson| readings.add(lesson.flatten(0, 1)));
+        let counts = readings.add(count_all_not_finite(&gradients));
+        let readings = trace_span!("check").in_scope(|| readings.read())?;
+        let values = &readings[values];
+        // All is checked before anything is stepped: after an error the state is whole.
+        if values.iter().any(|v| !v.is_finite()) || readings[counts].iter().any(|n| *n != 0.0) {
             return Err(self.find_fault(it, &view)?);
         }
-        let mut grads = trace_span!("backward").in_scope(|| stacked.sum().backward());
-
-        let norms = screen_grad.and_then(|screen| screen.grad_remove(&mut grads));
-        // All are checked before one is stepped: after an error the state is whole.
-        let Ok(gradients) = take_gradients(model, &mut grads) else {
-            return Err(self.find_fault(it, &view)?);
-        };
+        let psnr = error.psnr(&readings[sums]);
         let state = &mut self.run.state;
         if let Some(norms) = norms {
-            let radii = host(shown.radii);
-            state.density.accumulate(&host(norms), &radii);
+            state.density.accumulate(norms, shown.radii);
         }
-        if let Some(trace) = shown.trace {
-            state.model.blur.learned(frame, trace);
+        if let Some(lesson) = lesson {
+            let lesson = readings[lesson].iter().map(|v| *v as f32);
+            state.model.blur.learned(frame, lesson.collect());
         }
         self.step_parameters(it, frame, gradients);
         self.run.state.model.blur.hold(it);
@@ -115,7 +121,7 @@ impl Trainer {
         Ok(StepReport {
             iteration: it,
             loss: values.iter().sum(),
-            terms: names.into_iter().zip(values).collect(),
+            terms: names.into_iter().zip(values.iter().copied()).collect(),
             psnr,
             view: name,
             gaussians: self.model().num_gaussians(),
@@ -203,30 +209,31 @@ impl Trainer {
 /// Names the first parameter to which a loss gives a gradient that is not finite.
 fn check_gradients(model: &Model, loss: &Tensor<1>) -> Result<(), (Parameter, NonFiniteGradient)> {
     // A constant, such as the second differences of two frames, gives none and has no graph to go back through.
-    if loss.is_tracked() {
-        take_gradients(model, &mut loss.backward())?;
+    if !loss.is_tracked() {
+        return Ok(());
+    }
+    let gradients = take_gradients(model, &mut loss.backward());
+    for ((parameter, _), gradient) in model.parameters().into_iter().zip(gradients) {
+        let checked = gradient.map(finite_gradient).transpose();
+        checked.map_err(|problem| (parameter, problem))?;
     }
     Ok(())
 }
 
-/// The gradients of all parameters in their order, `None` for one that has none; or the first that is not finite, and where.
-fn take_gradients(
-    model: &Model,
-    grads: &mut Gradients,
-) -> Result<Vec<Option<Tensor<2>>>, (Parameter, NonFiniteGradient)> {
-    let _span = trace_span!("check gradients").entered();
-    let mut take = |tensor: &Tensor<2>| tensor.grad_remove(grads);
-    let parameters = model.parameters();
-    let gradients: Vec<_> = parameters.iter().map(|(_, tensor)| take(tensor)).collect();
-    if all_zero(gradients.iter().flatten().map(count_not_finite).collect()) {
-        return Ok(gradients);
-    }
-    let named = parameters.into_iter().zip(gradients);
-    let checked = named.map(|((parameter, _), gradient)| {
-        let checked = gradient.map(finite_gradient).transpose();
-        checked.map_err(|problem| (parameter, problem))
-    });
-    checked.collect()
+/// The gradients of all parameters in their order, `None` for one that has none.
+fn take_gradients(model: &Model, grads: &mut Gradients) -> Vec<Option<Tensor<2>>> {
+    let parameters = model.parameters().into_iter();
+    parameters
+        .map(|(_, tensor)| tensor.grad_remove(grads))
+        .collect()
+}
+
+/// Numbers of entries of gradients that are not finite, for each part that is counted by itself.
+fn count_all_not_finite(gradients: &[Option<Tensor<2>>]) -> Tensor<1> {
+    Tensor::cat(
+        gradients.iter().flatten().map(count_not_finite).collect(),
+        0,
+    )
 }
 
 #[cfg(test)]

@@ -13,11 +13,9 @@ pub(crate) fn rows_from(tensor: &Tensor<2>, start: usize) -> Option<Tensor<2>> {
     (rest > 0).then(|| tensor.clone().narrow(0, start, rest))
 }
 
-/// The values of a tensor on the host, as f32.
+/// The values of a tensor on the host, as f32. The device is waited for.
 pub(crate) fn host<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor
-        .try_into_vec_as::<f32>()
-        .expect("a float tensor can be read back")
+    host::read(tensor).iter::<f32>().collect()
 }
 
 /// A tensor of host values with the device and dtype of the model.

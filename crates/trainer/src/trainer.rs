@@ -64,6 +64,14 @@ impl Data {
     }
 }
 
+/// What was launched is done before a trainer goes: a program that ends earlier may take the driver from under it.
+impl Drop for Trainer {
+    fn drop(&mut self) {
+        // A device that has failed said so before.
+        self.run.device.sync().ok();
+    }
+}
+
 /// Why blur is modelled or not, where that is left to the survey.
 fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
     if settings.blur.model != BlurKind::Auto {

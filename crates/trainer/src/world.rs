@@ -117,16 +117,17 @@ impl World {
         Some((moved.reshape([rows, 3]), rotations.reshape([rows, 3, 3])))
     }
 
-    /// Where the dynamic Gaussians are at times within an exposure, `[T]`; `None` where nothing moves.
+    /// Where the dynamic Gaussians are at times within an exposure, `[T]`, which are `known` in main memory too; `None` where
+    /// nothing moves.
     #[must_use]
-    pub fn exposed_at(&self, times: &Tensor<1>) -> Option<Movers> {
+    pub fn exposed_at(&self, times: &Tensor<1>, known: &[f64]) -> Option<Movers> {
         let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0)?;
         let means = self.dynamic_means();
         let MotionModel {
             bases,
             coefficients,
         } = motion;
-        let (means, left_rotations) = bases.exposed_at(coefficients, &means, times);
+        let (means, left_rotations) = bases.exposed_at(coefficients, &means, times, known);
         Some(Movers {
             means,
             left_rotations,

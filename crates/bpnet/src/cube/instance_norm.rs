@@ -4,6 +4,7 @@
 //! is fixed by the sizes alone.
 
 use cubecl::prelude::*;
+use host::cube::sums::add_units;
 
 use crate::cpu::instance_norm::EPSILON;
 
@@ -78,16 +79,7 @@ pub(crate) fn channels_kernel(
     }
     let mut shared = Shared::<[f32]>::new_slice(TEAM);
     shared[unit] = sum;
-    sync_cube();
-    #[unroll]
-    for level in 1..=TEAM.ilog2() {
-        let half = comptime!(TEAM >> level);
-        if unit < half {
-            let other = shared[unit + half];
-            shared[unit] += other;
-        }
-        sync_cube();
-    }
+    add_units(&mut shared, TEAM, 1usize);
     if unit == 0 && channel < channels {
         let mean = shared[0] / rows as f32;
         if comptime!(summand == Summand::Deviation) {

@@ -2,6 +2,8 @@
 
 use cubecl::prelude::*;
 
+use super::sums::add_units;
+
 /// Units of a cube.
 pub(crate) const TEAM: usize = 256;
 
@@ -40,16 +42,7 @@ pub(crate) fn count_kernel(values: &[f32], counts: &mut [f32]) {
         at += counts.len() * TEAM;
     }
     shared[unit] = own;
-    sync_cube();
-    #[unroll]
-    for level in 1..=TEAM.ilog2() {
-        let half = comptime!(TEAM >> level);
-        if unit < half {
-            let other = shared[unit + half];
-            shared[unit] += other;
-        }
-        sync_cube();
-    }
+    add_units(&mut shared, TEAM, 1usize);
     if unit == 0 && CUBE_POS < counts.len() {
         counts[CUBE_POS] = shared[0] as f32;
     }

@@ -2,6 +2,8 @@
 
 #[allow(missing_docs, reason = "macros write items of their own beside each")]
 pub mod finite;
+#[allow(missing_docs, reason = "macros write items of their own beside each")]
+pub mod sums;
 #[allow(
     missing_docs,
     missing_debug_implementations,

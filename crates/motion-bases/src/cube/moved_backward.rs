@@ -4,6 +4,7 @@ use cubecl::prelude::*;
 
 use super::frame::{frame, frame_backward};
 use super::moved::{BASIS, blended, row_x, row_y, row_z};
+use host::cube::sums::add_units;
 use host::cube::vec3::{load, scaled, store, sum, vec3};
 
 /// Gradients of each Gaussian's logits and mean, and that of its blend at every moment, [F, T, 9]: a unit for every Gaussian.
@@ -110,19 +111,7 @@ pub(crate) fn bases_backward_kernel(
     for c in 0..BASIS {
         shared[unit * BASIS + c] = sums[c];
     }
-    sync_cube();
-    #[unroll]
-    for level in 1..=TEAM.ilog2() {
-        let half = comptime!(TEAM >> level);
-        if unit < half {
-            #[unroll]
-            for c in 0..BASIS {
-                let other = shared[(unit + half) * BASIS + c];
-                shared[unit * BASIS + c] += other;
-            }
-        }
-        sync_cube();
-    }
+    add_units(&mut shared, TEAM, BASIS);
     if basis < count && unit < BASIS {
         v_bases[CUBE_POS * BASIS + unit] = shared[unit];
     }

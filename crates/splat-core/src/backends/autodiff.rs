@@ -51,9 +51,15 @@ impl<B: SplatBackwardOps> Backward<B, EXPOSE_INPUTS> for Expose {
 }
 
 impl<B: SplatBackwardOps, C: CheckpointStrategy> SplatOps for Autodiff<B, C> {
-    fn project(scene: SceneTensors<Self>, camera: Camera, sh_degree: usize) -> Projected<Self> {
+    fn project(
+        scene: SceneTensors<Self>,
+        features: FloatTensor<Self>,
+        camera: Camera,
+        sh_degree: usize,
+    ) -> Projected<Self> {
         let scene = scene.map::<B>(<Self as AutodiffBackend>::inner);
-        match B::project(scene, camera, sh_degree) {
+        let features = <Self as AutodiffBackend>::inner(features);
+        match B::project(scene, features, camera, sh_degree) {
             Projected::Done(view) => {
                 Projected::Done(view.map(<Self as AutodiffBackend>::from_inner))
             }

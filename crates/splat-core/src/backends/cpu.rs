@@ -22,13 +22,11 @@ macro_rules! host_ops {
         impl SplatOps for $backend {
             fn project(
                 scene: SceneTensors<Self>,
+                _features: FloatTensor<Self>,
                 camera: Camera,
                 sh_degree: usize,
             ) -> Projected<Self> {
-                match project_on::<Self>(scene, camera, sh_degree) {
-                    Ok(view) => Projected::Done(view),
-                    Err(error) => Projected::Refused(error),
-                }
+                project_on::<Self>(scene, camera, sh_degree).into()
             }
 
             fn rasterize(
@@ -37,10 +35,9 @@ macro_rules! host_ops {
                 features: FloatTensor<Self>,
                 _screen_grad: FloatTensor<Self>,
             ) -> Blended<Self> {
-                match Self::rasterize_saved(view, features) {
-                    Ok((output, _)) => Blended::Done(output),
-                    Err(error) => Blended::Refused(error),
-                }
+                Self::rasterize_saved(view, features)
+                    .map(|(output, _)| output)
+                    .into()
             }
 
             fn expose(
@@ -49,10 +46,9 @@ macro_rules! host_ops {
                 _screen_grad: FloatTensor<Self>,
                 taking: Taking,
             ) -> Collected<Self> {
-                match Self::expose_saved(scene, moving, &taking) {
-                    Ok((picture, _)) => Collected::Done(picture),
-                    Err(error) => Collected::Refused(error),
-                }
+                Self::expose_saved(scene, moving, &taking)
+                    .map(|(picture, _)| picture)
+                    .into()
             }
         }
 

@@ -2,6 +2,7 @@
 
 use cubecl::prelude::*;
 use host::cube::finite::is_finite;
+use host::cube::sums::add_units;
 use host::cube::vec3::{Vec3, dot, load, scaled, store, sum, vec3};
 
 use super::body::{
@@ -32,19 +33,7 @@ pub(super) fn add_up(shared: &mut [f32], own: &Array<f32>, sums: &mut [f32], to:
     for k in 0..12usize {
         shared[unit * 12 + k] = own[k];
     }
-    sync_cube();
-    #[unroll]
-    for level in 1..=TEAM.ilog2() {
-        let half = comptime!(TEAM >> level);
-        if unit < half {
-            #[unroll]
-            for k in 0..12usize {
-                let other = shared[(unit + half) * 12 + k];
-                shared[unit * 12 + k] += other;
-            }
-        }
-        sync_cube();
-    }
+    add_units(shared, TEAM, 12usize);
     if unit < 12 && to + unit < sums.len() {
         sums[to + unit] = shared[unit];
     }

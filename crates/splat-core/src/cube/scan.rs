@@ -1,6 +1,7 @@
 //! Prefix sums of counts.
 
 use cubecl::prelude::*;
+use host::cube::sums::sum_before;
 
 /// Units of a cube, and numbers that each adds up by itself.
 const TEAM: usize = 128;
@@ -9,26 +10,6 @@ const EACH: usize = 8;
 pub(crate) const UNITS: usize = TEAM;
 /// Numbers of a cube.
 pub(crate) const BLOCK: usize = TEAM * EACH;
-
-/// Turns a number of each unit of a cube into the sum of those before it; `shared` has one entry per unit.
-#[cube]
-pub(super) fn before(shared: &mut [u32], own: u32) -> u32 {
-    let unit = UNIT_POS as usize;
-    shared[unit] = own;
-    sync_cube();
-    #[unroll]
-    for level in 0..TEAM.ilog2() {
-        let reach = comptime!(1usize << level);
-        let mut other = 0u32;
-        if unit >= reach {
-            other = shared[unit - reach];
-        }
-        sync_cube();
-        shared[unit] += other;
-        sync_cube();
-    }
-    shared[unit] - own
-}
 
 /// The sum of each [`BLOCK`] of `counts`.
 #[cube(launch)]
@@ -41,7 +22,7 @@ pub(crate) fn block_sums_kernel(counts: &[u32], sums: &mut [u32]) {
             own += counts[first + k];
         }
     }
-    let sum = before(&mut shared, own) + own;
+    let sum = sum_before(&mut shared, own, TEAM) + own;
     if UNIT_POS as usize == TEAM - 1 && CUBE_POS < sums.len() {
         sums[CUBE_POS] = sum;
     }
@@ -58,7 +39,7 @@ pub(crate) fn block_scan_kernel(counts: &[u32], starts: &[u32], sums: &mut [u32]
             own += counts[first + k];
         }
     }
-    let mut next = before(&mut shared, own);
+    let mut next = sum_before(&mut shared, own, TEAM);
     if CUBE_POS < starts.len() {
         next += starts[CUBE_POS];
     }

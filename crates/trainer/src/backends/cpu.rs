@@ -2,7 +2,7 @@
 
 use burn::backend::{TensorMetadata as _, tensor::FloatTensor};
 use burn::tensor::Shape;
-use host::{HostBackend, HostFloat, tensor, with_float};
+use host::{HostBackend, HostFloat, Real as _, tensor, with_float};
 
 use crate::cpu::adam::{self, AdamUpdate};
 use crate::cpu::{depth, mask, reduce, ssim};
@@ -41,10 +41,14 @@ macro_rules! host_ops {
                 mut a: FloatTensor<Self>,
                 mut b: FloatTensor<Self>,
                 valid: Option<&[bool]>,
-            ) -> f64 {
+            ) -> FloatTensor<Self> {
                 with_float!(a.dtype(), T => {
-                    let (a, b) = (Self::elements::<T>(&mut a), Self::elements::<T>(&mut b));
-                    reduce::squared_error(&a, &b, valid)
+                    let sums = reduce::squared_error(
+                        &Self::elements::<T>(&mut a),
+                        &Self::elements::<T>(&mut b),
+                        valid,
+                    );
+                    tensor::<T, Self>(sums.map(T::of).to_vec(), [2], &a)
                 })
             }
         }

@@ -5,8 +5,8 @@ use burn::tensor::{DType, Shape};
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use bytemuck::NoUninit;
-use host::cube::{cubes, empty, flat, units};
-use host::{HostBackend as _, tensor};
+use host::cube::{cubes, empty, flat, units, zeros};
+use host::tensor;
 
 use crate::cpu::adam::{AdamUpdate, SteppedRows, corrections};
 use crate::cpu::depth::{NEAREST, SAMPLE};
@@ -15,7 +15,7 @@ use crate::cube::depth::{FIT, counts_kernel, fit_kernel, sample_kernel, targets_
 use crate::cube::mask::{
     BINS, LEVELS, columns_kernel, histogram_kernel, rows_kernel, weights_kernel,
 };
-use crate::cube::reduce::{LARGE_SCALE, TEAM, squared_error_kernel, sums_kernel};
+use crate::cube::reduce::{TEAM, squared_error_kernel, sums_kernel};
 use crate::cube::ssim::{gradient_kernel, lanes_kernel, tiles};
 use crate::cube::{depth, mask, reduce};
 use crate::ops::{AdamTensors, DepthTargets, ImageLossBackwardOps, ImageLossOps, TrainerOps};
@@ -253,11 +253,15 @@ impl TrainerOps for CubeBackend {
         weights
     }
 
-    fn squared_error(a: FloatTensor<Self>, b: FloatTensor<Self>, valid: Option<&[bool]>) -> f64 {
+    fn squared_error(
+        a: FloatTensor<Self>,
+        b: FloatTensor<Self>,
+        valid: Option<&[bool]>,
+    ) -> FloatTensor<Self> {
         let [a, b] = [a, b].map(flat);
         let samples = a.meta.num_elements();
         if samples == 0 {
-            return 0.0;
+            return zeros(&a, [2]);
         }
         let blocks = samples.div_ceil(reduce::BLOCK);
         let terms = empty(&a, [2, blocks], DType::F32);
@@ -272,9 +276,7 @@ impl TrainerOps for CubeBackend {
             terms.clone().into_buffer_arg(),
             valid.is_some(),
         );
-        let sums = Self::into_elements::<f32>(sums_of_rows(terms, 2));
-        let [small, large] = [sums[0], sums[1]].map(f64::from);
-        small + large / f64::from(LARGE_SCALE).powi(2)
+        sums_of_rows(terms, 2)
     }
 }
 

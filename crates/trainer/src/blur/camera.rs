@@ -194,7 +194,7 @@ impl CameraBlur {
         let capture = self.learned(view);
         let exposure = Exposure {
             poses: capture.poses(frame, &middle.cam_from_world, &taken, self.scene_size),
-            movers: self.movers(world, look.viewpoint.time, &taken),
+            movers: self.movers(world, look.viewpoint.time, &taken, view.shutter),
             transfer: self.settings.transfer.into(),
         };
         Ok(expose(splats, &middle, exposure, look.screen_grad.clone())?)
@@ -221,10 +221,11 @@ impl CameraBlur {
         }
     }
 
-    /// Where moving Gaussians are at the samples' moments.
-    fn movers(&self, world: &World, time: f32, taken: &[Sample]) -> Option<Movers> {
+    /// Where moving Gaussians are at the samples' moments, with the shutter open for so long.
+    fn movers(&self, world: &World, time: f32, taken: &[Sample], shutter: f64) -> Option<Movers> {
         let times = self.capture.moments(taken).add_scalar(time);
-        world.exposed_at(&times)
+        let known = taken.iter().map(|s| f64::from(time) + shutter * s.moment);
+        world.exposed_at(&times, &known.collect::<Vec<_>>())
     }
 
     /// How many renders a frame with such a blur is averaged from. A blur that is there at all has a gradient: with a single

@@ -46,8 +46,8 @@ impl Gauge {
     }
 
     /// Keeps a frame's shifts for the frames that come after it.
-    pub(crate) fn record(&mut self, frame: usize, live: Tensor<2>) {
-        self.shifts[frame] = crate::tensors::host(live.detach());
+    pub(crate) fn record(&mut self, frame: usize, shifts: Vec<f32>) {
+        self.shifts[frame] = shifts;
     }
 
     /// The table as one matrix [frames, 1 + 2 · cells] for a checkpoint; the first column says whether a frame was seen.

@@ -13,7 +13,7 @@ use crate::views::Views;
 use crate::world::World;
 use bpnet::{
     BlurField, BlurInputs, BpNet, BpNetConfig, Composite, Extractor, HeadInit, cell_means,
-    composite, kernel_center_loss,
+    composite_trusted, kernel_center_loss,
 };
 use burn::tensor::{DType, Device, Tensor};
 use io::Map;
@@ -162,7 +162,7 @@ impl Kernels {
         let sees = fixed.map_or(&shown.rendered, |(rendered, _)| rendered);
         let field =
             trace_span!("blur field").in_scope(|| self.field(frame, sees, look.iteration))?;
-        let composite = composite(shown.seen, &field)?;
+        let composite = composite_trusted(shown.seen, &field)?;
         let fixed_intensity = fixed.and_then(|(_, trace)| trace).map_or_else(
             || composite.intensity(),
             |trace| trace.composite.intensity(),
@@ -182,13 +182,13 @@ impl Kernels {
     fn field(&self, frame: usize, sees: &Rendered, it: usize) -> Result<BlurField, TrainError> {
         let inputs = self.inputs(sees);
         Ok(if it > self.moments.step_from {
-            self.net.forward(frame, &inputs, self.extractor)?
+            self.net.forward_trusted(frame, &inputs, self.extractor)?
         } else {
             let mut net = self.net.clone();
             for (_, parameter) in net.parameters_mut() {
                 *parameter = constant(parameter);
             }
-            net.forward(frame, &inputs, self.extractor)?
+            net.forward_trusted(frame, &inputs, self.extractor)?
         })
     }
 
@@ -249,10 +249,9 @@ impl Kernels {
         terms
     }
 
-    pub(super) fn learned(&mut self, frame: usize, trace: KernelTrace) {
-        if let Some(shifts) = trace.shifts {
-            self.gauge.record(frame, shifts);
-        }
+    /// See [`super::BlurModel::learned`].
+    pub(super) fn learned(&mut self, frame: usize, shifts: Vec<f32>) {
+        self.gauge.record(frame, shifts);
     }
 
     pub(super) fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
@@ -293,6 +292,11 @@ pub struct KernelView {
 }
 
 impl KernelTrace {
+    /// The kernels' mean shift per cell, where the view counts for the gauge.
+    pub(super) fn shifts(&self) -> Option<Tensor<2>> {
+        self.shifts.clone()
+    }
+
     pub(super) fn view(&self) -> KernelView {
         let [height, width, _] = self.composite.picture().dims();
         let mut mean = [0.0; 2];

@@ -3,8 +3,10 @@
 
 use cubecl::prelude::*;
 
-use super::reduce::{TEAM, before, total3};
+use super::reduce::{TEAM, total3};
 use crate::cpu::depth::{FEWEST, LARGEST_SCALE, OPAQUE, ROUNDS, SAMPLE, TOLERANCE};
+use host::cube::finite::is_finite;
+use host::cube::sums::sum_before;
 use host::cube::vec3::vec3;
 
 /// Pixels that each unit looks at.
@@ -21,12 +23,9 @@ const RESIDUAL: f32 = TOLERANCE as f32;
 const HIGHEST: f32 = LARGEST_SCALE as f32;
 const LOWEST: f32 = (1.0 / LARGEST_SCALE) as f32;
 
-/// The bits of an exponent: all are set in what is infinite or not a number.
-const EXPONENT: u32 = 0x7f80_0000;
-
 #[cube]
 fn counts(alpha: f32, given: f32) -> bool {
-    alpha > LEAST_ALPHA && given > 0.0 && given.to_bits() & EXPONENT != EXPONENT
+    alpha > LEAST_ALPHA && given > 0.0 && is_finite(given)
 }
 
 #[cube]
@@ -53,7 +52,7 @@ pub(crate) fn counts_kernel(alpha: &[f32], given: &[f32], sums: &mut [u32]) {
     let mut shared = Shared::<[u32]>::new_slice(TEAM);
     let unit = UNIT_POS as usize;
     let own = count(alpha, given, CUBE_POS * BLOCK + unit * EACH);
-    let sum = before(&mut shared, own) + own;
+    let sum = sum_before(&mut shared, own, TEAM) + own;
     if unit == TEAM - 1 && CUBE_POS < sums.len() {
         sums[CUBE_POS] = sum;
     }
@@ -92,10 +91,10 @@ pub(crate) fn sample_kernel(
     let mut shared_all = Shared::<[u32]>::new_slice(TEAM);
     let mut shared_earlier = Shared::<[u32]>::new_slice(TEAM);
     let mut shared_own = Shared::<[u32]>::new_slice(TEAM);
-    before(&mut shared_all, all);
-    before(&mut shared_earlier, earlier);
+    sum_before(&mut shared_all, all, TEAM);
+    sum_before(&mut shared_earlier, earlier, TEAM);
     let first = CUBE_POS * BLOCK + unit * EACH;
-    let own = before(&mut shared_own, count(alpha, given, first));
+    let own = sum_before(&mut shared_own, count(alpha, given, first), TEAM);
     let all = shared_all[TEAM - 1];
     let stride = stride(all as usize);
     let mut rank = (shared_earlier[TEAM - 1] + own) as usize;

@@ -4,8 +4,9 @@
 //! their bits stand in the order of their values. Histograms are counted with integer atomics, which have no order to depend on.
 
 use cubecl::prelude::*;
+use host::cube::sums::sum_before;
 
-use super::reduce::{TEAM, before};
+use super::reduce::TEAM;
 use crate::cpu::mask::{INSIDE, OUTSIDE};
 
 /// Values of a digit, a unit for each.
@@ -127,7 +128,7 @@ fn prefix(
     #[unroll]
     for level in 0..levels {
         let own = bins[(level * SIDES + side) * VALUES + unit].load();
-        let earlier = before(sums, own);
+        let earlier = sum_before(sums, own, TEAM);
         if comptime!(level == 0) {
             // The 98 % quantile's place, 49 fiftieths of the last one, whatever the number.
             let last = sums[TEAM - 1].max(1) - 1;

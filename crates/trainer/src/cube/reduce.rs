@@ -2,7 +2,10 @@
 
 use cubecl::prelude::*;
 
-use host::cube::vec3::{Vec3, vec3};
+use host::cube::sums::add_units;
+use host::cube::vec3::{Vec3, store, vec3};
+
+use crate::ops::LARGE_SCALE;
 
 /// Units of a cube that add up together.
 pub(crate) const TEAM: usize = 256;
@@ -18,16 +21,7 @@ pub(crate) const BLOCK: usize = TEAM * EACH;
 pub(super) fn total(shared: &mut [f32], own: f32) -> f32 {
     let unit = UNIT_POS as usize;
     shared[unit] = own;
-    sync_cube();
-    #[unroll]
-    for level in 1..=TEAM.ilog2() {
-        let half = comptime!(TEAM >> level);
-        if unit < half {
-            let other = shared[unit + half];
-            shared[unit] += other;
-        }
-        sync_cube();
-    }
+    add_units(shared, TEAM, 1usize);
     shared[0]
 }
 
@@ -35,45 +29,11 @@ pub(super) fn total(shared: &mut [f32], own: f32) -> f32 {
 #[cube]
 pub(super) fn total3(shared: &mut [f32], own: Vec3) -> Vec3 {
     let unit = UNIT_POS as usize;
-    shared[unit] = own.x;
-    shared[TEAM + unit] = own.y;
-    shared[2 * TEAM + unit] = own.z;
-    sync_cube();
-    #[unroll]
-    for level in 1..=TEAM.ilog2() {
-        let half = comptime!(TEAM >> level);
-        if unit < half {
-            #[unroll]
-            for lane in 0..3 {
-                let other = shared[lane * TEAM + unit + half];
-                shared[lane * TEAM + unit] += other;
-            }
-        }
-        sync_cube();
-    }
-    let sums = vec3(shared[0], shared[TEAM], shared[2 * TEAM]);
+    store(shared, 3 * unit, own);
+    add_units(shared, TEAM, 3usize);
+    let sums = vec3(shared[0], shared[1], shared[2]);
     sync_cube();
     sums
-}
-
-/// The sum of the numbers of the units before each; `shared` has one entry per unit, and the last is then the sum of all.
-#[cube]
-pub(super) fn before(shared: &mut [u32], own: u32) -> u32 {
-    let unit = UNIT_POS as usize;
-    shared[unit] = own;
-    sync_cube();
-    #[unroll]
-    for level in 0..TEAM.ilog2() {
-        let reach = comptime!(1usize << level);
-        let mut other = 0u32;
-        if unit >= reach {
-            other = shared[unit - reach];
-        }
-        sync_cube();
-        shared[unit] += other;
-        sync_cube();
-    }
-    shared[unit] - own
 }
 
 /// The sums of rows of `terms` [rows, n]: a cube for each.
@@ -97,9 +57,6 @@ pub(crate) fn sums_kernel(terms: &[f32], sums: &mut [f32]) {
 
 /// Differences beyond this are scaled before they are squared, so that the square stays inside f32.
 const LARGE: f32 = 1e9;
-
-/// By how much: a power of two, and no product of numbers inside f32 falls below it.
-pub(crate) const LARGE_SCALE: f32 = 1.0 / (1_u128 << 90) as f32;
 
 /// Sums of squared differences of [`BLOCK`] samples each of two pictures [H, W, 3], [2, blocks]: of the small differences, and
 /// of the large ones times [`LARGE_SCALE`]. With `masked`, of the pixels whose bit is set in `valid`.

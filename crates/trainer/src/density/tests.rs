@@ -29,10 +29,13 @@ fn rows(edit: &RowEdit) -> Vec<(u32, RowKind)> {
 
 #[test]
 fn average_counts_only_what_was_drawn() {
-    let mut stats = DensityStats::new(3);
-    stats.accumulate(&[1.0, 2.0, 3.0], &[1.0, 0.0, 2.0]);
-    stats.accumulate(&[2.0, 5.0, 3.0], &[4.0, 0.0, 0.0]);
-    assert_eq!(stats.average(), [1.5, 0.0, 3.0]);
+    let device = Device::flex();
+    let row = |values: [f32; 3]| Tensor::<1>::from_data(values, &device);
+    let mut stats = DensityStats::new(3, &device);
+    stats.accumulate(row([1.0, 2.0, 3.0]), row([1.0, 0.0, 2.0]));
+    stats.accumulate(row([2.0, 5.0, 3.0]), row([4.0, 0.0, 0.0]));
+    let average: Vec<f32> = stats.average().into_data().iter().collect();
+    assert_eq!(average, [1.5, 0.0, 3.0]);
 }
 
 #[test]

@@ -41,7 +41,9 @@ impl Blend {
         }
         let features = if num_features > 0 {
             let features = flat(features.clone());
-            check_features(&features)?;
+            if !tables.features_checked {
+                check_features(&features)?;
+            }
             features
         } else {
             // A buffer that no kernel reads, but none may be empty.

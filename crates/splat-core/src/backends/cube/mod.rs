@@ -111,23 +111,26 @@ fn still(scene: SceneTensors<CubeBackend>, camera: &Camera, sh_degree: usize) ->
 }
 
 impl SplatOps for CubeBackend {
-    fn project(scene: SceneTensors<Self>, camera: Camera, sh_degree: usize) -> Projected<Self> {
-        let rows = scene.means.meta.shape()[0];
-        if rows == 0 {
+    fn project(
+        scene: SceneTensors<Self>,
+        features: FloatTensor<Self>,
+        camera: Camera,
+        sh_degree: usize,
+    ) -> Projected<Self> {
+        if scene.means.meta.shape()[0] == 0 {
             let radii = zeros(&scene.means, [0]);
-            let blank = match camera.check() {
-                Ok(()) => PreparedView::Blank { camera, radii },
-                Err(error) => return Projected::Refused(error),
-            };
-            return Projected::Done(blank);
+            let checked = camera.check();
+            return checked
+                .map(|()| PreparedView::Blank { camera, radii })
+                .into();
         }
-        match prepare(still(scene, &camera, sh_degree)) {
-            Ok(tables) => Projected::Done(PreparedView::Device {
+        let features = (features.meta.num_elements() > 0).then(|| flat(features));
+        prepare(still(scene, &camera, sh_degree), features.as_ref())
+            .map(|tables| PreparedView::Device {
                 radii: tables.radii.clone(),
                 tables: Arc::new(tables),
-            }),
-            Err(error) => Projected::Refused(error),
-        }
+            })
+            .into()
     }
 
     fn rasterize(
@@ -136,10 +139,9 @@ impl SplatOps for CubeBackend {
         features: FloatTensor<Self>,
         _screen_grad: FloatTensor<Self>,
     ) -> Blended<Self> {
-        match Self::rasterize_saved(view, features) {
-            Ok((output, _)) => Blended::Done(output),
-            Err(error) => Blended::Refused(error),
-        }
+        Self::rasterize_saved(view, features)
+            .map(|(output, _)| output)
+            .into()
     }
 
     fn expose(
@@ -148,10 +150,9 @@ impl SplatOps for CubeBackend {
         _screen_grad: FloatTensor<Self>,
         taking: Taking,
     ) -> Collected<Self> {
-        match Self::expose_saved(scene, moving, &taking) {
-            Ok((picture, _)) => Collected::Done(picture),
-            Err(error) => Collected::Refused(error),
-        }
+        Self::expose_saved(scene, moving, &taking)
+            .map(|(picture, _)| picture)
+            .into()
     }
 }
 
@@ -238,7 +239,7 @@ impl SplatBackwardOps for CubeBackend {
             left_rotations: moving.left_rotations,
         };
         let scene = scene_of(scene, movers, moving.poses, camera, taking.sh_degree);
-        let tables = prepare(scene)?;
+        let tables = prepare(scene, None)?;
         let blend = Blend::new(&tables, &tables.splats, false)?;
         let picture = mean_of_samples(&tables.scene, &blend.output, taking.transfer)?;
         let shown = Picture {

@@ -14,20 +14,22 @@ use crate::cube::tiles::{count_kernel, emit_kernel, ranges_kernel, total_kernel}
 use crate::error::SplatError;
 
 /// Where [`faults_kernel`] notes what is not finite: means, quats, log_scales, opacity_logits; means and left rotations of what
-/// moves; SH; the pose of the middle and those of the samples. Behind them come the number of slots and whether it is right.
-const FAULTS: usize = 9;
+/// moves; SH; the pose of the middle and those of the samples; features. Behind them come the number of slots and whether it is
+/// right.
+const FAULTS: usize = 10;
 const MOVING: usize = 4;
 const SH: usize = 6;
 const POSE: usize = 7;
 const POSES: usize = 8;
+const FEATURES: usize = 9;
 
-/// Projects, culls, sorts by depth and lists by tile. There is a Gaussian.
-pub(super) fn prepare(scene: Scene) -> Result<Tables, SplatError> {
+/// Projects, culls, sorts by depth and lists by tile. There is a Gaussian; `features` are looked at, where they are known.
+pub(super) fn prepare(scene: Scene, features: Option<&CubeTensor>) -> Result<Tables, SplatError> {
     scene.camera.check()?;
     let client = scene.client().clone();
     let (items, rows) = (scene.items(), scene.rows);
     let faults = full(&scene.shapes, [FAULTS + 2], u32::MAX);
-    look_for_faults(&scene, &faults);
+    look_for_faults(&scene, features, &faults);
     let colors = scene.table("colours", rows * 3, DType::F32)?;
     let (number, dim) = units(&client, rows);
     colors_kernel::launch(
@@ -140,12 +142,13 @@ pub(super) fn prepare(scene: Scene) -> Result<Tables, SplatError> {
         list,
         slots,
         num_slots,
+        features_checked: features.is_some(),
         radii,
     })
 }
 
 /// Notes the first row of every input that is not finite.
-fn look_for_faults(scene: &Scene, faults: &CubeTensor) {
+fn look_for_faults(scene: &Scene, features: Option<&CubeTensor>, faults: &CubeTensor) {
     let mut tables = vec![
         (&scene.shapes, SHAPE, 0, Rows::Shapes),
         (&scene.sh, 3 * scene.stored, SH, Rows::Plain),
@@ -154,6 +157,9 @@ fn look_for_faults(scene: &Scene, faults: &CubeTensor) {
     ];
     if scene.moving > 0 {
         tables.push((&scene.moved, MOVED, MOVING, Rows::Moved));
+    }
+    if let Some(features) = features {
+        tables.push((features, features.meta.shape()[1], FEATURES, Rows::Plain));
     }
     for (table, width, first, of) in tables {
         let (number, dim) = units(scene.client(), table.meta.num_elements());
@@ -182,6 +188,7 @@ fn name_fault(found: &[u32]) -> Result<(), SplatError> {
         (MOVING, "moving_means"),
         (MOVING + 1, "left_rotations"),
         (POSES, "cam_from_world"),
+        (FEATURES, "features"),
     ] {
         if found[entry] != u32::MAX {
             let row = found[entry] as usize;

@@ -4,6 +4,7 @@ use burn::tensor::DType;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::Client;
 use host::cube::empty;
+use host::waiting;
 
 use crate::camera::Camera;
 use crate::cpu::{TILE, tangents};
@@ -90,8 +91,9 @@ pub(super) fn fits(client: &Client, table: &'static str, length: usize) -> Resul
     Ok(())
 }
 
-/// The numbers of a table of u32.
+/// The numbers of a table of u32. The device is waited for.
 pub(super) fn read(table: &CubeTensor) -> Result<Vec<u32>, SplatError> {
+    let _span = waiting();
     let bytes = table.client.read_one(table.handle.clone());
     let bytes = bytes.map_err(|error| SplatError::Device {
         reason: error.to_string(),
@@ -114,6 +116,8 @@ pub(crate) struct Tables {
     pub(super) list: CubeTensor,
     pub(super) slots: CubeTensor,
     pub(super) num_slots: usize,
+    /// Whether the features were looked at.
+    pub(super) features_checked: bool,
     /// `[N]`.
     pub(super) radii: CubeTensor,
 }

@@ -14,24 +14,23 @@ impl CameraBlur {
     /// What the camera does in a frame.
     pub(super) fn view(&self, frame: usize) -> TakenView {
         let focal = self.focal[frame];
-        let blur_px = self.capture.path_px(frame, focal);
+        let taken = self.capture.taken(frame);
+        let blur_px = taken.path_px(focal);
         let disc_px = self
             .depth_range
-            .map(|z| self.capture.disc_px(frame, focal, self.scene_size / z))
+            .map(|z| taken.disc_px(focal, self.scene_size / z))
             .into_iter()
             .fold(0.0, f64::max);
-        let row = |tensor: &Tensor<2>, row| host(tensor.clone().detach().narrow(0, row, 1));
-        let focus = f64::from(row(&self.capture.focus, frame)[0]);
         TakenView {
             frame: CameraFrame {
                 blur_px,
-                focus: self.scene_size / focus.max(LEAST_DISPARITY),
+                focus: self.scene_size / taken.focus.max(LEAST_DISPARITY),
                 disc_px,
                 samples: self.samples(blur_px, disc_px),
                 psnr: None,
             },
-            shutter: row(&self.capture.shutter, 0)[0].into(),
-            aperture: self.scene_size * f64::from(row(&self.capture.aperture, 0)[0].abs()),
+            shutter: taken.shutter,
+            aperture: self.scene_size * taken.aperture.abs(),
             spots: Vec::new(),
         }
     }

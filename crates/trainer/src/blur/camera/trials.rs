@@ -60,7 +60,7 @@ impl CameraBlur {
         last: bool,
     ) -> Result<Vec<usize>, TrainError> {
         let lengths: Vec<f64> = (0..looks.len())
-            .map(|frame| self.capture.path_px(frame, self.focal[frame]))
+            .map(|frame| self.capture.taken(frame).path_px(self.focal[frame]))
             .collect();
         let (usual, usual_px) = (median(now), median(&lengths));
         if lengths.iter().all(|length| *length == 0.0) {

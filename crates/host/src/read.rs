@@ -1,0 +1,32 @@
+//! Values that come back to main memory.
+
+use burn::tensor::{Tensor, TensorData};
+use tracing::span::EnteredSpan;
+use tracing::trace_span;
+
+/// Name of the span in which values come back from a device: all that was launched has to be done first, and nothing new is
+/// launched meanwhile. Everything that reads a tensor does it in such a span, so that they can be counted.
+pub const WAIT: &str = "wait";
+
+/// Opens a span [`WAIT`].
+pub fn waiting() -> EnteredSpan {
+    trace_span!(WAIT).entered()
+}
+
+/// A tensor's values in main memory. The device is waited for.
+///
+/// # Errors
+/// What the device says where it fails: it is lost, or had no memory for what was launched.
+pub fn try_read<const D: usize>(tensor: Tensor<D>) -> Result<TensorData, String> {
+    let _span = waiting();
+    tensor.try_into_data().map_err(|error| error.to_string())
+}
+
+/// A tensor's values in main memory. The device is waited for.
+///
+/// # Panics
+/// Where the device fails; see [`try_read`].
+#[must_use]
+pub fn read<const D: usize>(tensor: Tensor<D>) -> TensorData {
+    try_read(tensor).unwrap_or_else(|reason| panic!("the device failed: {reason}"))
+}
