@@ -33,7 +33,7 @@ pub use buffers::filled;
 #[cfg(feature = "burn")]
 pub use finite::{all_zero, count_not_finite, first_not_finite};
 #[cfg(feature = "burn")]
-pub use read::{WAIT, read, try_read, waiting};
+pub use read::{WAIT, read, said, try_read, waiting};
 pub use real::Real;
 #[cfg(feature = "burn")]
 pub use tensors::{HostBackend, HostFloat, pass_back, tensor};

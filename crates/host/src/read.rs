@@ -1,5 +1,7 @@
 //! Values that come back to main memory.
 
+use std::fmt::Display;
+
 use burn::tensor::{Tensor, TensorData};
 use tracing::span::EnteredSpan;
 use tracing::trace_span;
@@ -19,7 +21,16 @@ pub fn waiting() -> EnteredSpan {
 /// What the device says where it fails: it is lost, or had no memory for what was launched.
 pub fn try_read<const D: usize>(tensor: Tensor<D>) -> Result<TensorData, String> {
     let _span = waiting();
-    tensor.try_into_data().map_err(|error| error.to_string())
+    tensor.try_into_data().map_err(said)
+}
+
+/// What a device says of its failure, on one line.
+pub fn said(error: impl Display) -> String {
+    let text = error.to_string();
+    let lines = text.lines().map(str::trim);
+    let empty = ["", "Asked at:", "Caused by:", "No backtrace available"];
+    let lines: Vec<&str> = lines.filter(|line| !empty.contains(line)).collect();
+    lines.join("; ")
 }
 
 /// A tensor's values in main memory. The device is waited for.

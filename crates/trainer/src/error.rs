@@ -49,7 +49,7 @@ pub enum TrainError {
     Io(#[from] io::IoError),
     /// The splatting op refused its input.
     #[error("the renderer refuses its input")]
-    Splat(#[from] splat_core::SplatError),
+    Splat(#[source] splat_core::SplatError),
     /// The motion model refused its input.
     #[error("the motion model refuses its input")]
     Motion(#[from] motion_bases::MotionError),
@@ -108,6 +108,15 @@ pub enum TrainError {
         /// The number of iterations.
         iterations: usize,
     },
+}
+
+impl From<splat_core::SplatError> for TrainError {
+    fn from(error: splat_core::SplatError) -> Self {
+        match error {
+            splat_core::SplatError::Device { reason } => Self::Device { reason },
+            error => Self::Splat(error),
+        }
+    }
 }
 
 impl TrainError {

@@ -2,6 +2,8 @@
 
 use burn::tensor::Device;
 
+use crate::TrainError;
+
 /// Storage buffers that a kernel may have: ours take up to seven, and CubeCL adds one.
 const BUFFERS: u32 = 8;
 /// Memory that the units of a cube share, in bytes.
@@ -75,6 +77,36 @@ impl Gpu {
         let partial_gradients = 4 * 9 * TILES * gaussians * samples;
         coefficients.max(partial_gradients)
     }
+}
+
+/// Does something on a device. Where a GPU fails, is lost or has no memory left, Burn panics: that is an error here.
+#[cfg(feature = "cube")]
+pub(crate) fn guarded<T>(
+    device: &Device,
+    work: impl FnOnce() -> Result<T, TrainError>,
+) -> Result<T, TrainError> {
+    use burn::backend::DispatchDevice;
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+    let device = device.clone().inner();
+    if !matches!(device.as_dispatch(), DispatchDevice::Cube(_)) {
+        return work();
+    }
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
+        Err(TrainError::Device {
+            reason: host::said(text.unwrap_or("it does not say why")),
+        })
+    })
+}
+
+/// As it is: main memory does not fail.
+#[cfg(not(feature = "cube"))]
+pub(crate) fn guarded<T>(
+    _: &Device,
+    work: impl FnOnce() -> Result<T, TrainError>,
+) -> Result<T, TrainError> {
+    work()
 }
 
 #[cfg(any(feature = "wgpu", feature = "cuda"))]

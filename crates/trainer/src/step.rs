@@ -3,6 +3,7 @@
 use crate::TrainError;
 use crate::adam::{AdamStep, NonFiniteGradient, finite_gradient};
 use crate::blur::Trace;
+use crate::gpu::guarded;
 use crate::look::Look;
 use crate::metrics::SquaredError;
 use crate::model::Model;
@@ -39,9 +40,15 @@ impl Trainer {
     /// Does one iteration.
     ///
     /// # Errors
-    /// All iterations are done; a loss term or a gradient is not finite; the renderer refuses its input.
-    /// After an error the trainer holds the state of the last whole iteration.
+    /// All iterations are done; a loss term or a gradient is not finite; the renderer refuses its input; the device fails.
+    /// After an error the trainer holds the state of the last whole iteration, unless the device failed
+    /// ([`TrainError::Device`]): then only checkpoints are left.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        let device = self.run.device.clone();
+        guarded(&device, || self.iterate())
+    }
+
+    fn iterate(&mut self) -> Result<StepReport, TrainError> {
         let _span = trace_span!("step").entered();
         if self.is_done() {
             return Err(TrainError::Finished {

@@ -4,7 +4,7 @@ use burn::tensor::DType;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::Client;
 use host::cube::empty;
-use host::waiting;
+use host::{said, waiting};
 
 use crate::camera::Camera;
 use crate::cpu::{TILE, tangents};
@@ -96,7 +96,7 @@ pub(super) fn read(table: &CubeTensor) -> Result<Vec<u32>, SplatError> {
     let _span = waiting();
     let bytes = table.client.read_one(table.handle.clone());
     let bytes = bytes.map_err(|error| SplatError::Device {
-        reason: error.to_string(),
+        reason: said(error),
     })?;
     let words = bytes.as_chunks::<4>().0.iter();
     Ok(words.map(|word| u32::from_le_bytes(*word)).collect())

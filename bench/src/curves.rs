@@ -1,0 +1,116 @@
+//! The same training on every backend: losses from iteration to iteration in one plot, and scores.
+
+use std::path::Path;
+
+use plotters::prelude::*;
+use serde::Serialize;
+use trainer::settings::BlurKind;
+use trainer::{Device, Settings, Trainer};
+
+/// Iterations after which scores are taken.
+const SCORED: [usize; 3] = [100, 200, 300];
+/// Losses are drawn as means over so many iterations: neighbours show different views.
+const WINDOW: usize = 12;
+
+/// Losses and scores of one run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Curve {
+    /// Where it ran.
+    pub backend: String,
+    /// Its blur model.
+    pub model: &'static str,
+    /// Loss of every iteration.
+    pub losses: Vec<f64>,
+    /// Iterations done, and the mean PSNR over the test views then, dB.
+    pub psnr: Vec<(usize, f64)>,
+}
+
+/// Trains the demo at 32x18 for so many iterations of a run of 300, with both blur models.
+///
+/// # Errors
+/// The demo cannot be read, or training fails.
+pub fn curves(
+    backend: &str,
+    device: &Device,
+    iterations: usize,
+) -> Result<Vec<Curve>, Box<dyn std::error::Error>> {
+    let mut curves = Vec::new();
+    for (model, name) in [
+        (BlurKind::Kernels, "kernels"),
+        (BlurKind::Camera, "camera"),
+    ] {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../demo");
+        let options = io::LoadOptions {
+            downscale: 5,
+            ..io::LoadOptions::default()
+        };
+        let scene = io::Scene::open_with(folder.as_ref(), &options)?;
+        let mut settings = Settings {
+            iterations: 300,
+            ..Settings::default()
+        };
+        settings.blur.model = model;
+        let mut trainer = Trainer::new(scene, settings, device)?;
+        let mut curve = Curve {
+            backend: backend.to_owned(),
+            model: name,
+            losses: Vec::new(),
+            psnr: Vec::new(),
+        };
+        while trainer.iteration() < iterations.min(300) {
+            curve.losses.push(trainer.step()?.loss);
+            let done = trainer.iteration();
+            if SCORED.contains(&done) {
+                let scores = trainer.evaluate()?;
+                let psnr = scores.test.map(|scores| scores.mean.psnr);
+                curve.psnr.extend(psnr.map(|psnr| (done, psnr)));
+            }
+        }
+        curves.push(curve);
+    }
+    Ok(curves)
+}
+
+/// One panel for each blur model, and in it a line for each backend.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn plot(curves: &[Curve], path: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    let area = SVGBackend::new(path, (900, 320)).into_drawing_area();
+    area.fill(&WHITE)?;
+    let (left, right) = area.split_horizontally(450);
+    for (panel, model) in [(left, "kernels"), (right, "camera")] {
+        let of_model: Vec<_> = curves.iter().filter(|c| c.model == model).collect();
+        let length = of_model.iter().map(|c| c.losses.len()).max().unwrap_or(1);
+        let highest = of_model.iter().flat_map(|c| means(&c.losses));
+        let highest = highest.map(|(_, loss)| loss).fold(0.0, f64::max);
+        let mut chart = ChartBuilder::on(&panel)
+            .caption(format!("loss with the {model}"), ("sans-serif", 16))
+            .margin(8)
+            .x_label_area_size(36)
+            .y_label_area_size(52)
+            .build_cartesian_2d(0.0..length as f64, 0.0..1.05 * highest)?;
+        chart.configure_mesh().x_desc("iteration").draw()?;
+        for (k, curve) in of_model.into_iter().enumerate() {
+            // Thick below thin: lines that agree lie on each other.
+            let style = Palette99::pick(k).stroke_width(6 - 2 * (k as u32).min(2));
+            chart
+                .draw_series(LineSeries::new(means(&curve.losses), style))?
+                .label(curve.backend.clone())
+                .legend(move |(x, y)| {
+                    PathElement::new([(x, y), (x + 16, y)], Palette99::pick(k).stroke_width(3))
+                });
+        }
+        chart.configure_series_labels().border_style(BLACK).draw()?;
+    }
+    area.present()?;
+    Ok(())
+}
+
+fn means(losses: &[f64]) -> impl Iterator<Item = (f64, f64)> {
+    let windows = losses.windows(WINDOW.min(losses.len().max(1))).enumerate();
+    windows.map(|(i, window)| {
+        let middle = (i + window.len() / 2) as f64;
+        (middle, window.iter().sum::<f64>() / window.len() as f64)
+    })
+}
