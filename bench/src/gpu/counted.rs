@@ -98,6 +98,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn every_span_of_a_wait_counts() {
+        let stages = Stages::default();
+        let (_, counted) = tracing::subscriber::with_default(stages.clone(), || {
+            count(&stages, || {
+                for _ in 0..3 {
+                    let _render = tracing::trace_span!("render").entered();
+                    let _wait = tracing::trace_span!(WAIT).entered();
+                }
+            })
+        });
+        assert_eq!((counted.waits, counted.launches), (3, 0));
+    }
+
+    #[test]
     fn launches_are_counted_by_kernel_and_by_stage() {
         let observer = Observer::default();
         let kernels = ["a::cube::b::c::C<f32, a::D>", "a::cube::b::c::C<u32>", "e"];

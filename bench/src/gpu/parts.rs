@@ -1,5 +1,6 @@
 //! Parts of an iteration by themselves, on a GPU: rendering, the rasteriser, an exposure.
 
+use std::error::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
 
@@ -10,7 +11,7 @@ use splat_core::{Exposure, Extra, Splats, Transfer, Viewpoint, expose, pose_rows
 
 use crate::workload::{SAMPLES, Workload};
 
-type Failure = Box<dyn std::error::Error>;
+type Failure = Box<dyn Error>;
 
 /// Times of something; the device has done all of it each time the clock is read.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -51,7 +52,7 @@ impl<T> Outcome<T> {
     pub fn of(piece: impl FnOnce() -> Result<T, Failure>) -> Self {
         match catch_unwind(AssertUnwindSafe(piece)) {
             Ok(Ok(result)) => Self::Timed(result),
-            Ok(Err(error)) => Self::Refused(error.to_string()),
+            Ok(Err(error)) => Self::Refused(with_causes(error.as_ref())),
             Err(panic) => {
                 let text = panic.downcast_ref::<String>().map(String::as_str);
                 let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
@@ -59,6 +60,17 @@ impl<T> Outcome<T> {
             }
         }
     }
+}
+
+/// An error's text and those of its causes.
+fn with_causes(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
 }
 
 /// Times something `repeats` times after two: the first compiles kernels, the second finds buffers.
@@ -93,20 +105,23 @@ pub fn time_render(workload: &Workload, device: &Device, repeats: usize) -> Resu
     })
 }
 
-/// A render and its way back to means, quaternions, scales, opacities and colours.
+/// A render that keeps what its way back needs, and, with `back`, that way to means, quaternions, scales, opacities and colours.
 ///
 /// # Errors
 /// The device refuses the size.
-pub fn time_render_and_back(
+pub fn time_rasteriser(
     workload: &Workload,
     device: &Device,
     repeats: usize,
+    back: bool,
 ) -> Result<Times, Failure> {
     let splats = leaves(workload, device)?;
     let view = viewpoint(workload, &splats);
     time(device, repeats, || {
         let rendered = render(splats.clone(), &view, Extra::default())?;
-        drop(rendered.output().clone().sum().backward());
+        if back {
+            drop(rendered.output().clone().sum().backward());
+        }
         Ok(())
     })
 }
@@ -175,6 +190,9 @@ mod tests {
         };
         assert_eq!(refused(|| Err("no room".into())), "no room");
         assert_eq!(refused(|| panic!("{} bytes", 5)), "5 bytes");
+        let cause = || Err(trainer::TrainError::from(trainer::SceneProblem::NoFrames).into());
+        let text = refused(cause);
+        assert!(text.contains(": "), "{text}: a cause is behind its effect");
         assert_eq!(refused(|| Ok(())), "none");
     }
 }

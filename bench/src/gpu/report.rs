@@ -9,7 +9,7 @@ use trainer::Gpu;
 
 use super::adapter::{Adapter, Memory};
 use super::counted::{Counted, count};
-use super::parts::{Outcome, Times, time_exposure, time_render, time_render_and_back};
+use super::parts::{Outcome, Times, time_exposure, time_rasteriser, time_render};
 use crate::iteration::time_steps;
 use crate::net::time_net;
 use crate::spans::Stages;
@@ -89,7 +89,7 @@ pub fn time_all(gpu: &Gpu, stages: &Stages, quick: bool) -> Report {
     let (device, repeats) = (&gpu.device, sizes.repeats);
     let scene = |blur| workload(sizes.scene, blur);
     let mut parts = vec![
-        tried("render", scene(Blur::Off), |w| {
+        tried("render without a graph", scene(Blur::Off), |w| {
             time_render(w, device, repeats)
         }),
         tried("exposure of 8 samples and back", scene(Blur::Off), |w| {
@@ -99,10 +99,11 @@ pub fn time_all(gpu: &Gpu, stages: &Stages, quick: bool) -> Report {
     for &(width, height) in sizes.pictures {
         for &gaussians in sizes.gaussians {
             let size = workload((width, height, gaussians), Blur::Off);
-            parts.push(tried("forward", size, |w| time_render(w, device, repeats)));
-            parts.push(tried("forward and backward", size, |w| {
-                time_render_and_back(w, device, repeats)
-            }));
+            for (name, back) in [("forward", false), ("forward and backward", true)] {
+                parts.push(tried(name, size, |w| {
+                    time_rasteriser(w, device, repeats, back)
+                }));
+            }
         }
     }
     parts.push(tried("BP-Net and back", scene(Blur::Trained), |w| {
