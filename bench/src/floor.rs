@@ -53,7 +53,6 @@ pub fn stages(blur: Blur) -> Vec<&'static str> {
         "project",
         "rasterize",
         "rasterize backward",
-        "project backward",
         "image loss",
         "adam",
         "check gradients",
@@ -73,12 +72,14 @@ pub fn stages(blur: Blur) -> Vec<&'static str> {
         "instance norm backward",
     ];
     let half = ["upsample", "upsample backward"];
+    // Where the camera is modelled, the loss goes back through the exposure, and not through the sharp render.
+    let sharp = ["project backward"];
     let camera = ["expose", "expose backward"];
     let more: &[&[&str]] = match blur {
-        Blur::Off => &[],
-        Blur::Trained => &[&kernels, &learning],
-        Blur::Frozen => &[&kernels],
-        Blur::Half => &[&kernels, &learning, &half],
+        Blur::Off => &[&sharp],
+        Blur::Trained => &[&sharp, &kernels, &learning],
+        Blur::Frozen => &[&sharp, &kernels],
+        Blur::Half => &[&sharp, &kernels, &learning, &half],
         Blur::Camera => &[&camera],
     };
     [&always[..], &more.concat()].concat()
@@ -115,9 +116,9 @@ pub fn work(stage: &str, workload: &Workload, counts: &Counts) -> Option<Work> {
             bytes: F32 * (13.0 * counts.slots + 7.0 * pixels),
         },
         "rasterize backward" => {
-            // The sharp render, and every sample of an exposure.
+            // The sharp render, or every sample of an exposure.
             let renders = match workload.blur {
-                Blur::Camera => 1.0 + SAMPLES as f64,
+                Blur::Camera => SAMPLES as f64,
                 Blur::Off | Blur::Trained | Blur::Frozen | Blur::Half => 1.0,
             };
             Work {

@@ -220,19 +220,15 @@ fn all_on_gpu(runtime: &str, out: &Path, quick: bool) -> Result<(), Failure> {
 }
 
 #[cfg(not(any(feature = "wgpu", feature = "cuda")))]
-fn launches(_: &str, _: [usize; 2], _: usize, _: &Path) -> Result<(), Failure> {
-    Err(NO_GPU.into())
+fn launches(runtime: &str, _: [usize; 2], _: usize, _: &Path) -> Result<(), Failure> {
+    all_on_gpu(runtime, Path::new(""), false)
 }
 
 #[cfg(not(any(feature = "wgpu", feature = "cuda")))]
-fn all_on_gpu(_: &str, _: &Path, _: bool) -> Result<(), Failure> {
-    Err(NO_GPU.into())
+fn all_on_gpu(runtime: &str, _: &Path, _: bool) -> Result<(), Failure> {
+    let how = format!("`cargo xtask bench --backend {runtime}` makes one that has it");
+    Err(format!("--backend {runtime}: this build lacks it; {how}").into())
 }
-
-/// What a build without a runtime for GPUs says.
-#[cfg(not(any(feature = "wgpu", feature = "cuda")))]
-const NO_GPU: &str =
-    "this build reaches no GPU; `cargo xtask bench --backend wgpu` makes one that does";
 
 fn all(arguments: &Arguments) -> Result<(), Failure> {
     let stages = Stages::default();

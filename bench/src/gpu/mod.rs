@@ -16,8 +16,16 @@ type Failure = Box<dyn std::error::Error>;
 /// The GPU that the program would take, too.
 ///
 /// # Errors
-/// The runtime reaches none, or one that is too small.
+/// The build lacks the runtime, or it reaches no GPU that is large enough.
 pub fn open(runtime: &str) -> Result<Gpu, Failure> {
+    let here = [
+        ("wgpu", cfg!(feature = "wgpu")),
+        ("cuda", cfg!(feature = "cuda")),
+    ];
+    if !here.contains(&(runtime, true)) {
+        let how = format!("`cargo xtask bench --backend {runtime}` makes one that has it");
+        return Err(format!("--backend {runtime}: this build lacks it; {how}").into());
+    }
     let gpu = Gpu::best(runtime).map_err(|why| format!("--backend {runtime}: {why}"))?;
     eprintln!("on {}", gpu.name);
     Ok(gpu)
