@@ -46,6 +46,45 @@ impl Counts {
     }
 }
 
+/// The stages of an iteration that [`work`] counts.
+#[must_use]
+pub fn stages(blur: Blur) -> Vec<&'static str> {
+    let always = [
+        "project",
+        "rasterize",
+        "rasterize backward",
+        "image loss",
+        "adam",
+        "check gradients",
+    ];
+    let kernels = [
+        "conv",
+        "instance norm",
+        "predict",
+        "predict backward",
+        "composite",
+        "composite backward",
+    ];
+    let learning = [
+        "conv input gradient",
+        "conv weight gradient",
+        "relu backward",
+        "instance norm backward",
+    ];
+    let half = ["upsample", "upsample backward"];
+    // Where the camera is modelled, the loss goes back through the exposure, and not through the sharp render.
+    let sharp = ["project backward"];
+    let camera = ["expose", "expose backward"];
+    let more: &[&[&str]] = match blur {
+        Blur::Off => &[&sharp],
+        Blur::Trained => &[&sharp, &kernels, &learning],
+        Blur::Frozen => &[&sharp, &kernels],
+        Blur::Half => &[&sharp, &kernels, &learning, &half],
+        Blur::Camera => &[&camera],
+    };
+    [&always[..], &more.concat()].concat()
+}
+
 /// The work of a stage by the name of its span; `None` for what only moves things about.
 #[must_use]
 pub fn work(stage: &str, workload: &Workload, counts: &Counts) -> Option<Work> {
@@ -77,9 +116,9 @@ pub fn work(stage: &str, workload: &Workload, counts: &Counts) -> Option<Work> {
             bytes: F32 * (13.0 * counts.slots + 7.0 * pixels),
         },
         "rasterize backward" => {
-            // The sharp render, and every sample of an exposure.
+            // The sharp render, or every sample of an exposure.
             let renders = match workload.blur {
-                Blur::Camera => 1.0 + SAMPLES as f64,
+                Blur::Camera => SAMPLES as f64,
                 Blur::Off | Blur::Trained | Blur::Frozen | Blur::Half => 1.0,
             };
             Work {
@@ -156,4 +195,48 @@ pub fn work(stage: &str, workload: &Workload, counts: &Counts) -> Option<Work> {
         _ => return None,
     };
     Some(work)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use trainer::Device;
+
+    use super::*;
+    use crate::spans::Stages;
+
+    #[test]
+    fn the_stages_are_those_that_an_iteration_enters() {
+        for blur in [
+            Blur::Off,
+            Blur::Trained,
+            Blur::Frozen,
+            Blur::Half,
+            Blur::Camera,
+        ] {
+            let workload = Workload {
+                width: 32,
+                height: 24,
+                gaussians: 100,
+                blur,
+                kernel_size: 3,
+            };
+            let counts = Counts::new(&workload);
+            let mut trainer = workload
+                .trainer_at_work(&Device::flex())
+                .expect("a small trainer");
+            let spans = Stages::default();
+            tracing::subscriber::with_default(spans.clone(), || trainer.step())
+                .expect("an iteration");
+            let counted = |stage: &&str| work(stage, &workload, &counts).is_some();
+            let entered: BTreeSet<_> = spans.take().into_keys().filter(counted).collect();
+            assert_eq!(
+                entered,
+                BTreeSet::from_iter(stages(blur)),
+                "{}",
+                blur.name()
+            );
+        }
+    }
 }

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use serde::Serialize;
-use trainer::{Device, TrainError, Trainer};
+use trainer::{Device, Trainer};
 
 use crate::floor::{Counts, work};
 use crate::machine::Machine;
 use crate::spans::{Stage, Stages};
 use crate::workload::{Blur, Workload};
+
+type Failure = Box<dyn std::error::Error>;
 
 /// Time of an iteration and its parts.
 #[derive(Clone, Debug, Serialize)]
@@ -79,12 +81,12 @@ pub fn time_workload(
     machine: &Machine,
     stages: &Stages,
     iterations: usize,
-) -> Result<Breakdown, TrainError> {
+) -> Result<Breakdown, Failure> {
     let mut trainer = workload.trainer(device)?;
     while trainer.iteration() + 1 < workload.first_full_iteration() {
         trainer.step()?;
     }
-    let (times, spans) = time_steps(&mut trainer, stages, iterations)?;
+    let (times, spans) = time_steps(&mut trainer, device, stages, iterations)?;
     let counts = Counts::new(workload);
     let name = format!(
         "{}x{}, {} Gaussians, {}{}",
@@ -104,20 +106,24 @@ pub fn time_workload(
     }))
 }
 
-/// Steps a trainer and takes the time of every iteration, ms, and of the stages.
+/// Steps a trainer and takes the time of every iteration, ms, and of the stages. The device has done all of an iteration when
+/// its time is taken.
 ///
 /// # Errors
-/// The trainer refuses a step.
+/// The trainer refuses a step, or the device fails.
 pub fn time_steps(
     trainer: &mut Trainer,
+    device: &Device,
     stages: &Stages,
     iterations: usize,
-) -> Result<(Vec<f64>, BTreeMap<&'static str, Stage>), TrainError> {
+) -> Result<(Vec<f64>, BTreeMap<&'static str, Stage>), Failure> {
+    device.sync()?;
     drop(stages.take());
     let mut times = Vec::with_capacity(iterations);
     for _ in 0..iterations {
         let start = Instant::now();
         trainer.step()?;
+        device.sync()?;
         times.push(start.elapsed().as_secs_f64() * 1e3);
     }
     Ok((times, stages.take()))

@@ -2,7 +2,10 @@
 //!
 //! `cargo xtask bench` runs it; docs/PERFORMANCE.md holds what it found.
 
+pub mod bound;
 pub mod floor;
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+pub mod gpu;
 pub mod growth;
 pub mod iteration;
 pub mod machine;

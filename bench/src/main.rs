@@ -1,7 +1,7 @@
 //! `limpid-bench`: times iterations and how they grow, and writes the results.
 #![allow(clippy::print_stdout, reason = "a program that reports times")]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use bpnet::Extractor;
@@ -29,11 +29,36 @@ struct Arguments {
     /// Where the results go.
     #[arg(long, default_value = "out/bench")]
     out: PathBuf,
+    /// What runs iterations. With a GPU it is timed part by part, and `gpu.json` written.
+    #[arg(long, global = true, value_enum, default_value_t = Backend::Flex)]
+    backend: Backend,
     /// Fewer sizes and iterations: a minute instead of several.
     #[arg(long)]
     quick: bool,
     #[command(subcommand)]
     command: Option<Command>,
+}
+
+/// What runs iterations.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Backend {
+    /// The CPU.
+    Flex,
+    /// Any GPU; needs the feature `wgpu`.
+    Wgpu,
+    /// An NVIDIA GPU, by CUDA; needs the feature `cuda`.
+    Cuda,
+}
+
+impl Backend {
+    /// The runtime of a GPU; `None` for the CPU.
+    fn runtime(self) -> Option<&'static str> {
+        match self {
+            Self::Flex => None,
+            Self::Wgpu => Some("wgpu"),
+            Self::Cuda => Some("cuda"),
+        }
+    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -58,6 +83,21 @@ enum Command {
         /// On the backend `ndarray` (needs the feature of that name).
         #[arg(long)]
         ndarray: bool,
+    },
+    /// Counts what an iteration on a GPU launches, moves and waits for, and computes its least time; writes `launches.json`.
+    Launches {
+        /// Width of the pictures.
+        #[arg(long, default_value_t = 512)]
+        width: usize,
+        /// Height of the pictures.
+        #[arg(long, default_value_t = 288)]
+        height: usize,
+        /// Number of Gaussians.
+        #[arg(long, default_value_t = 100_000)]
+        gaussians: usize,
+        /// Where the counts go.
+        #[arg(long, default_value = "out/bench")]
+        out: PathBuf,
     },
     /// Copies a scene and turns its training cameras at random, to measure what refining poses gives.
     Perturb {
@@ -91,7 +131,19 @@ fn main() -> ExitCode {
             px,
             seed,
         }) => perturb(scene, out, *px, *seed),
-        None => all(&arguments),
+        Some(Command::Launches {
+            width,
+            height,
+            gaussians,
+            out,
+        }) => match arguments.backend.runtime() {
+            Some(runtime) => launches(runtime, [*width, *height], *gaussians, out),
+            None => Err("launches are a GPU's: say --backend wgpu or --backend cuda".into()),
+        },
+        None => match arguments.backend.runtime() {
+            Some(runtime) => all_on_gpu(runtime, &arguments.out, arguments.quick),
+            None => all(&arguments),
+        },
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -141,6 +193,41 @@ fn net_device(ndarray: bool) -> Result<Device, Failure> {
     return Ok(Device::ndarray());
     #[cfg(not(feature = "ndarray"))]
     Err("build with `--features ndarray`".into())
+}
+
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+fn launches(runtime: &str, size: [usize; 2], gaussians: usize, out: &Path) -> Result<(), Failure> {
+    let gpu = limpid_bench::gpu::open(runtime)?;
+    let stages = Stages::default();
+    tracing::subscriber::set_global_default(stages.clone())?;
+    let counted = limpid_bench::gpu::launches::count_launches(&gpu, &stages, size, gaussians)?;
+    limpid_bench::gpu::write(&counted, out, "launches.json")?;
+    print!("{}", counted.tables()?);
+    println!("\nwritten to {}", out.display());
+    Ok(())
+}
+
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+fn all_on_gpu(runtime: &str, out: &Path, quick: bool) -> Result<(), Failure> {
+    let gpu = limpid_bench::gpu::open(runtime)?;
+    let stages = Stages::default();
+    tracing::subscriber::set_global_default(stages.clone())?;
+    let report = limpid_bench::gpu::report::time_all(&gpu, &stages, quick);
+    limpid_bench::gpu::write(&report, out, "gpu.json")?;
+    print!("{}", report.tables()?);
+    println!("\nwritten to {}", out.display());
+    Ok(())
+}
+
+#[cfg(not(any(feature = "wgpu", feature = "cuda")))]
+fn launches(runtime: &str, _: [usize; 2], _: usize, _: &Path) -> Result<(), Failure> {
+    all_on_gpu(runtime, Path::new(""), false)
+}
+
+#[cfg(not(any(feature = "wgpu", feature = "cuda")))]
+fn all_on_gpu(runtime: &str, _: &Path, _: bool) -> Result<(), Failure> {
+    let how = format!("`cargo xtask bench --backend {runtime}` makes one that has it");
+    Err(format!("--backend {runtime}: this build lacks it; {how}").into())
 }
 
 fn all(arguments: &Arguments) -> Result<(), Failure> {
@@ -203,7 +290,7 @@ fn demo(device: &Device, stages: &Stages) -> Result<Breakdown, Failure> {
     while trainer.iteration() < 560 {
         trainer.step()?;
     }
-    let (times, spans) = time_steps(&mut trainer, stages, 100)?;
+    let (times, spans) = time_steps(&mut trainer, device, stages, 100)?;
     let name = format!(
         "the demo, 160x90, {} Gaussians, iterations 561 to 660",
         trainer.model().num_gaussians()

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use bpnet::{BlurInputs, BpNet, BpNetConfig, BpNetError, Extractor, HeadInit, composite};
+use bpnet::{BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, composite};
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use serde::Serialize;
 
@@ -20,13 +20,13 @@ pub struct NetTimes {
 /// Times `repeats` passes after two, K = 9.
 ///
 /// # Errors
-/// The network refuses the size.
+/// The network refuses the size, or the device fails.
 pub fn time_net(
     [width, height]: [usize; 2],
     extractor: Extractor,
     device: &Device,
     repeats: usize,
-) -> Result<NetTimes, BpNetError> {
+) -> Result<NetTimes, Box<dyn std::error::Error>> {
     let config = BpNetConfig {
         kernel_size: 9,
         num_frames: FRAMES,
@@ -54,11 +54,13 @@ pub fn time_net(
     let mut times = Vec::new();
     for _ in 0..repeats + 2 {
         let image = values(3).require_grad();
+        device.sync()?;
         let start = Instant::now();
         let field = net.forward(1, &inputs, extractor)?;
         let blurred = composite(image.clone(), &field)?;
         let grads = blurred.picture().sum().backward();
         drop(grads);
+        device.sync()?;
         times.push(start.elapsed().as_secs_f64() * 1e3);
     }
     let mut times = times.split_off(2);

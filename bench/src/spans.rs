@@ -35,6 +35,12 @@ thread_local! {
     static OPEN: RefCell<Vec<Open>> = const { RefCell::new(Vec::new()) };
 }
 
+/// The innermost span that this thread has entered, if [`Stages`] watches.
+#[must_use]
+pub fn innermost() -> Option<&'static str> {
+    OPEN.with_borrow(|open| Some(open.last()?.0))
+}
+
 impl Stages {
     fn table(&self) -> std::sync::MutexGuard<'_, Table> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
@@ -104,6 +110,7 @@ mod tests {
             sleep(wait);
             for _ in 0..2 {
                 let _inner = tracing::trace_span!("inner").entered();
+                assert_eq!(innermost(), Some("inner"), "while it is entered");
                 sleep(wait);
             }
         });

@@ -171,6 +171,25 @@ impl Workload {
         Ok(trainer)
     }
 
+    /// The trainer on a device right before [`Self::first_full_iteration`]. What comes before that is done on the CPU: a device
+    /// that a CPU plays would take an hour.
+    ///
+    /// # Errors
+    /// The trainer refuses the sizes, or the checkpoint between the two cannot be written.
+    pub fn trainer_at_work(&self, device: &Device) -> Result<Trainer, TrainError> {
+        let mut trainer = self.trainer(&Device::flex())?;
+        while trainer.iteration() + 1 < self.first_full_iteration() {
+            trainer.step()?;
+        }
+        let name = format!("limpid-bench-{}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
+        trainer.save(&folder)?;
+        let moved = Trainer::load(&folder, self.scene(), device);
+        // A folder that stays behind does no harm.
+        drop(std::fs::remove_dir_all(&folder));
+        moved
+    }
+
     /// From here on (1-based) every iteration does the same work: blur begins after 50, L_spa 50 later.
     #[must_use]
     pub fn first_full_iteration(&self) -> usize {

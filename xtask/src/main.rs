@@ -17,7 +17,8 @@ cargo xtask COMMAND
   train [ARGS]   train a scene; without --scene and --config, the demo
                  (cargo xtask train --help lists the arguments)
   bench [ARGS]   time the kernels and whole iterations, stage by stage, and how they
-                 grow; writes tables, JSON and plots to out/bench/
+                 grow; writes tables, JSON and plots to out/bench/; with --backend wgpu
+                 or cuda, times a GPU and writes gpu.json
                  (cargo xtask bench --help lists the arguments)
   numerics       measure f32 against f64 and write docs/NUMERICS.md
   bless          train the golden picture of the tests again, and keep it
@@ -46,7 +47,7 @@ const BENCH: [&[&str]; 2] = [
         "--bench",
         "kernels",
     ],
-    &["run", "--package", "limpid-bench", "--"],
+    &["run", "--package", "limpid-bench"],
 ];
 
 /// What `bless` starts.
@@ -105,7 +106,7 @@ const STEPS: [Step; 8] = [
             "--workspace",
             "--all-targets",
             "--features",
-            "limpid-tests/wgpu,limpid/wgpu",
+            "limpid-tests/wgpu,limpid/wgpu,limpid-bench/wgpu",
             "--",
             "-D",
             "warnings",
@@ -118,7 +119,7 @@ const STEPS: [Step; 8] = [
             "test",
             "--workspace",
             "--features",
-            "limpid-tests/wgpu,limpid/wgpu",
+            "limpid-tests/wgpu,limpid/wgpu,limpid-bench/wgpu",
             "--test",
             "*",
         ],
@@ -261,15 +262,22 @@ fn watch(mut command: Command, skipped: &mut Vec<String>) -> Result<(), ExitCode
 
 /// Times the kernels, unless `args` ask for something else than the whole run, and then iterations.
 fn bench(args: &[OsString]) -> ExitCode {
-    let [kernels, iterations] = BENCH.map(cargo_in_root);
     if args.is_empty()
-        && let Err(code) = wait(kernels)
+        && let Err(code) = wait(cargo_in_root(BENCH[0]))
     {
         return code;
     }
-    let mut iterations = iterations;
-    iterations.args(args);
-    become_command(iterations)
+    become_command(iterations(args))
+}
+
+/// The command that times iterations with `args`.
+fn iterations(args: &[OsString]) -> Command {
+    let mut command = cargo_in_root(BENCH[1]);
+    if let Some(backend) = backend_feature(args) {
+        command.args(["--features", backend]);
+    }
+    command.arg("--").args(args);
+    command
 }
 
 /// The feature that compiles the backend which `args` ask for, unless it is in the default build.
@@ -410,6 +418,16 @@ mod tests {
                 .contains("--features wgpu -- train --backend wgpu"),
             "{}",
             train_line("--backend wgpu --scene s")
+        );
+        let args = words("launches --backend wgpu");
+        let line = iterations(&args)
+            .get_args()
+            .map(OsStr::to_string_lossy)
+            .collect::<Vec<_>>()
+            .join(" ");
+        assert_eq!(
+            line,
+            "run --package limpid-bench --features wgpu -- launches --backend wgpu"
         );
     }
 }

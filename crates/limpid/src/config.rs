@@ -95,19 +95,11 @@ impl Backend {
 /// The best GPU that a runtime reaches.
 #[cfg(any(feature = "wgpu", feature = "cuda"))]
 fn gpu(runtime: &str) -> Result<Device, Failure> {
-    let mut found = trainer::Gpu::found();
-    found.retain(|gpu| gpu.runtime == runtime);
-    let Some(gpu) = found.iter().find(|gpu| gpu.refusal().is_none()) else {
-        let why = match found.first().and_then(|gpu| Some((gpu, gpu.refusal()?))) {
-            Some((gpu, why)) => format!("{} is too small: {why}", gpu.name),
-            None => "there is no adapter on this machine: install its driver (for wgpu one of Vulkan, Metal or DX12)"
-                .to_owned(),
-        };
-        return Err(format!(
+    let gpu = trainer::Gpu::best(runtime).map_err(|why| {
+        format!(
             "--backend {runtime}: {why}; `limpid devices` lists what there is, and --backend flex takes the CPU"
         )
-        .into());
-    };
+    })?;
     if gpu.is_software {
         eprintln!(
             "note: {} is played by the CPU: --backend flex is many times faster",
@@ -116,7 +108,7 @@ fn gpu(runtime: &str) -> Result<Device, Failure> {
     } else {
         eprintln!("on {}", gpu.name);
     }
-    Ok(gpu.device.clone())
+    Ok(gpu.device)
 }
 
 impl Config {

@@ -36,7 +36,47 @@ pub struct Gpu {
     pub device: Device,
 }
 
+/// Why there is no GPU to run on.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoGpu {
+    /// A runtime reaches none.
+    #[error(
+        "there is no adapter on this machine: install its driver (for wgpu one of Vulkan, Metal or DX12)"
+    )]
+    Missing,
+    /// It cannot run the kernels.
+    #[error("{name} is too small: {why}")]
+    TooSmall {
+        /// As it names itself.
+        name: String,
+        /// As [`Gpu::refusal`].
+        why: String,
+    },
+}
+
 impl Gpu {
+    /// The best that a runtime (`wgpu` or `cuda`) reaches.
+    ///
+    /// # Errors
+    /// There is none, or it cannot run the kernels.
+    pub fn best(runtime: &str) -> Result<Self, NoGpu> {
+        let mut first = NoGpu::Missing;
+        for gpu in Self::found() {
+            if gpu.runtime != runtime {
+                continue;
+            }
+            let Some(why) = gpu.refusal() else {
+                return Ok(gpu);
+            };
+            if first == NoGpu::Missing {
+                let name = gpu.name;
+                first = NoGpu::TooSmall { name, why };
+            }
+        }
+        Err(first)
+    }
+
     /// All that this build's runtimes reach, GPUs before CPUs that play one; none in a build without a runtime for GPUs. Opens
     /// each of them.
     #[must_use]

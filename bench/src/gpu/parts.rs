@@ -1,0 +1,198 @@
+//! Parts of an iteration by themselves, on a GPU: rendering, the rasteriser, an exposure.
+
+use std::error::Error;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Instant;
+
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use glam::DAffine3;
+use serde::Serialize;
+use splat_core::{Exposure, Extra, Splats, Transfer, Viewpoint, expose, pose_rows, render};
+
+use crate::workload::{SAMPLES, Workload};
+
+type Failure = Box<dyn Error>;
+
+/// Times of something; the device has done all of it each time the clock is read.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Times {
+    /// Median, ms.
+    pub median_ms: f64,
+    /// Fastest, ms.
+    pub fastest_ms: f64,
+    /// How often it was done.
+    pub repeats: usize,
+}
+
+impl Times {
+    /// Of at least one time, ms.
+    #[must_use]
+    pub fn of(mut times: Vec<f64>) -> Option<Self> {
+        times.sort_by(f64::total_cmp);
+        Some(Self {
+            median_ms: *times.get(times.len() / 2)?,
+            fastest_ms: *times.first()?,
+            repeats: times.len(),
+        })
+    }
+}
+
+/// What came of timing something: its result, or why the device refused it.
+#[derive(Clone, Debug, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Outcome<T> {
+    /// It was timed.
+    Timed(T),
+    /// The device, or what drives it, refused.
+    Refused(String),
+}
+
+impl<T> Outcome<T> {
+    /// Does something that may fail, or panic as wgpu does where memory is short.
+    pub fn of(piece: impl FnOnce() -> Result<T, Failure>) -> Self {
+        match catch_unwind(AssertUnwindSafe(piece)) {
+            Ok(Ok(result)) => Self::Timed(result),
+            Ok(Err(error)) => Self::Refused(with_causes(error.as_ref())),
+            Err(panic) => {
+                let text = panic.downcast_ref::<String>().map(String::as_str);
+                let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
+                Self::Refused(text.unwrap_or("a panic without a text").to_owned())
+            }
+        }
+    }
+}
+
+/// An error's text and those of its causes.
+fn with_causes(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
+}
+
+/// Times something `repeats` times after two: the first compiles kernels, the second finds buffers.
+fn time(
+    device: &Device,
+    repeats: usize,
+    mut piece: impl FnMut() -> Result<(), Failure>,
+) -> Result<Times, Failure> {
+    piece()?;
+    piece()?;
+    device.sync()?;
+    let mut times = Vec::with_capacity(repeats);
+    for _ in 0..repeats {
+        let start = Instant::now();
+        piece()?;
+        device.sync()?;
+        times.push(start.elapsed().as_secs_f64() * 1e3);
+    }
+    Times::of(times).ok_or_else(|| "nothing was timed".into())
+}
+
+/// A render without a graph: colour, alpha and depth.
+///
+/// # Errors
+/// The device refuses the size.
+pub fn time_render(workload: &Workload, device: &Device, repeats: usize) -> Result<Times, Failure> {
+    let splats = Splats::new(&workload.gaussians(), device)?;
+    let view = viewpoint(workload, &splats);
+    time(device, repeats, || {
+        render(splats.clone(), &view, Extra::default())?;
+        Ok(())
+    })
+}
+
+/// A render that keeps what its way back needs, and, with `back`, that way to means, quaternions, scales, opacities and colours.
+///
+/// # Errors
+/// The device refuses the size.
+pub fn time_rasteriser(
+    workload: &Workload,
+    device: &Device,
+    repeats: usize,
+    back: bool,
+) -> Result<Times, Failure> {
+    let splats = leaves(workload, device)?;
+    let view = viewpoint(workload, &splats);
+    time(device, repeats, || {
+        let rendered = render(splats.clone(), &view, Extra::default())?;
+        if back {
+            drop(rendered.output().clone().sum().backward());
+        }
+        Ok(())
+    })
+}
+
+/// An exposure of [`SAMPLES`] samples along a path of 3 px, and its way back to the Gaussians and the path.
+///
+/// # Errors
+/// The device refuses the size.
+pub fn time_exposure(
+    workload: &Workload,
+    device: &Device,
+    repeats: usize,
+) -> Result<Times, Failure> {
+    let splats = leaves(workload, device)?;
+    let middle = viewpoint(workload, &splats);
+    let focal = workload.camera().fx;
+    let poses: Vec<f64> = (0..SAMPLES)
+        .flat_map(|i| {
+            let mut pose = DAffine3::IDENTITY;
+            let place = (i as f64 + 0.5) / SAMPLES as f64 - 0.5;
+            pose.translation.x = 3.0 * place / focal;
+            pose_rows(&pose)
+        })
+        .collect();
+    let poses = TensorData::new(poses, [SAMPLES, 3, 4]);
+    let options = (&device.clone().autodiff(), DType::F32);
+    let poses = Tensor::<3>::from_data(poses, options).require_grad();
+    time(device, repeats, || {
+        let exposure = Exposure {
+            poses: poses.clone(),
+            movers: None,
+            transfer: Transfer::Srgb,
+        };
+        let exposed = expose(splats.clone(), &middle, exposure, None)?;
+        drop(exposed.color.sum().backward());
+        Ok(())
+    })
+}
+
+/// The Gaussians of a workload, all of their numbers tracked.
+fn leaves(workload: &Workload, device: &Device) -> Result<Splats, Failure> {
+    let splats = Splats::new(&workload.gaussians(), &device.clone().autodiff())?;
+    Ok(Splats {
+        means: splats.means.require_grad(),
+        quats: splats.quats.require_grad(),
+        left_rotations: None,
+        log_scales: splats.log_scales.require_grad(),
+        opacity_logits: splats.opacity_logits.require_grad(),
+        sh: splats.sh.require_grad(),
+    })
+}
+
+fn viewpoint(workload: &Workload, splats: &Splats) -> Viewpoint {
+    Viewpoint::new(&workload.camera(), &DAffine3::IDENTITY, 3, splats)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_keeps_its_text() {
+        let refused = |piece: fn() -> Result<(), Failure>| match Outcome::of(piece) {
+            Outcome::Refused(text) => text,
+            Outcome::Timed(()) => "none".to_owned(),
+        };
+        assert_eq!(refused(|| Err("no room".into())), "no room");
+        assert_eq!(refused(|| panic!("{} bytes", 5)), "5 bytes");
+        let cause = || Err(trainer::TrainError::from(trainer::SceneProblem::NoFrames).into());
+        let text = refused(cause);
+        assert!(text.contains(": "), "{text}: a cause is behind its effect");
+        assert_eq!(refused(|| Ok(())), "none");
+    }
+}

@@ -1,0 +1,246 @@
+//! All that is timed on a GPU: `cargo xtask bench --backend wgpu`.
+
+use std::fmt::Write as _;
+use std::time::Instant;
+
+use bpnet::Extractor;
+use serde::Serialize;
+use trainer::Gpu;
+
+use super::adapter::{Adapter, Memory};
+use super::counted::{Counted, count};
+use super::parts::{Outcome, Times, time_exposure, time_rasteriser, time_render};
+use crate::iteration::time_steps;
+use crate::net::time_net;
+use crate::spans::Stages;
+use crate::workload::{Blur, Workload};
+
+type Failure = Box<dyn std::error::Error>;
+
+/// Everything that was timed.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// What it was timed on.
+    pub adapter: Adapter,
+    /// Renders, exposures, and extractor, BP-Net and blur with K = 9.
+    pub parts: Vec<Tried<Times>>,
+    /// Whole iterations.
+    pub iterations: Vec<Tried<Iteration>>,
+    /// The device's memory at the end.
+    pub memory: Option<Memory>,
+}
+
+/// Something of a size, and what came of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Tried<T> {
+    /// What it is, with its size.
+    pub name: String,
+    /// What came of it.
+    pub outcome: Outcome<T>,
+}
+
+/// A whole training iteration.
+#[derive(Clone, Debug, Serialize)]
+pub struct Iteration {
+    /// Each by itself: the device has ended one before the next begins.
+    pub alone: Times,
+    /// Mean of as many in a row, as in training, ms.
+    pub in_a_row_ms: f64,
+    /// What one launches and waits for.
+    pub counted: Counted,
+    /// The device's memory after the first iterations.
+    pub memory_warm: Option<Memory>,
+    /// The device's memory after the last.
+    pub memory: Option<Memory>,
+}
+
+/// The sizes of a run.
+struct Sizes {
+    /// Of renders alone, exposures, BP-Net and iterations: width, height, Gaussians.
+    scene: (usize, usize, usize),
+    /// Of the pictures of the rasteriser.
+    pictures: &'static [(usize, usize)],
+    /// Of its scenes.
+    gaussians: &'static [usize],
+    /// Of what is repeated.
+    repeats: usize,
+}
+
+/// What the paper's renderer is held against.
+const FULL: Sizes = Sizes {
+    scene: (512, 288, 100_000),
+    pictures: &[(512, 288), (1920, 1080)],
+    gaussians: &[10_000, 100_000, 1_000_000],
+    repeats: 40,
+};
+
+/// Small enough for a GPU that a CPU plays.
+const QUICK: Sizes = Sizes {
+    scene: (64, 36, 1_000),
+    pictures: &[(64, 36), (128, 72)],
+    gaussians: &[1_000, 4_000],
+    repeats: 3,
+};
+
+/// Times all. `stages` must be the program's subscriber. What the device refuses is noted, and the rest goes on.
+#[must_use]
+pub fn time_all(gpu: &Gpu, stages: &Stages, quick: bool) -> Report {
+    let sizes = if quick { QUICK } else { FULL };
+    let (device, repeats) = (&gpu.device, sizes.repeats);
+    let scene = |blur| workload(sizes.scene, blur);
+    let mut parts = vec![
+        tried("render without a graph", scene(Blur::Off), |w| {
+            time_render(w, device, repeats)
+        }),
+        tried("exposure of 8 samples and back", scene(Blur::Off), |w| {
+            time_exposure(w, device, repeats)
+        }),
+    ];
+    for &(width, height) in sizes.pictures {
+        for &gaussians in sizes.gaussians {
+            let size = workload((width, height, gaussians), Blur::Off);
+            for (name, back) in [("forward", false), ("forward and backward", true)] {
+                parts.push(tried(name, size, |w| {
+                    time_rasteriser(w, device, repeats, back)
+                }));
+            }
+        }
+    }
+    parts.push(tried("BP-Net and back", scene(Blur::Trained), |w| {
+        let times = time_net([w.width, w.height], Extractor::Trained, device, repeats)?;
+        Ok(Times {
+            median_ms: times.median_ms,
+            fastest_ms: times.fastest_ms,
+            repeats,
+        })
+    }));
+    let iterations = [Blur::Off, Blur::Trained, Blur::Camera].map(|blur| {
+        let name = format!("iteration, {}", blur.name());
+        tried(&name, scene(blur), |w| {
+            time_iteration(gpu, stages, w, repeats)
+        })
+    });
+    Report {
+        adapter: Adapter::of(gpu),
+        parts,
+        iterations: iterations.into(),
+        memory: Memory::of(gpu),
+    }
+}
+
+fn workload((width, height, gaussians): (usize, usize, usize), blur: Blur) -> Workload {
+    Workload {
+        width,
+        height,
+        gaussians,
+        blur,
+        kernel_size: 9,
+    }
+}
+
+fn tried<T>(
+    name: &str,
+    workload: Workload,
+    piece: impl FnOnce(&Workload) -> Result<T, Failure>,
+) -> Tried<T> {
+    let Workload {
+        width,
+        height,
+        gaussians,
+        ..
+    } = workload;
+    let name = format!("{name}, {width}x{height}, {gaussians} Gaussians");
+    eprintln!("{name}");
+    let outcome = Outcome::of(|| piece(&workload));
+    Tried { name, outcome }
+}
+
+fn time_iteration(
+    gpu: &Gpu,
+    stages: &Stages,
+    workload: &Workload,
+    repeats: usize,
+) -> Result<Iteration, Failure> {
+    let device = &gpu.device;
+    let mut trainer = workload.trainer_at_work(device)?;
+    for _ in 0..2 {
+        trainer.step()?;
+    }
+    device.sync()?;
+    let memory_warm = Memory::of(gpu);
+    let (step, counted) = count(stages, || trainer.step());
+    step?;
+    let (times, _) = time_steps(&mut trainer, device, stages, repeats)?;
+    let start = Instant::now();
+    for _ in 0..repeats {
+        trainer.step()?;
+    }
+    device.sync()?;
+    let in_a_row_ms = start.elapsed().as_secs_f64() * 1e3 / repeats as f64;
+    Ok(Iteration {
+        alone: Times::of(times).ok_or("nothing was timed")?,
+        in_a_row_ms,
+        counted,
+        memory_warm,
+        memory: Memory::of(gpu),
+    })
+}
+
+impl Report {
+    /// All tables in Markdown.
+    ///
+    /// # Errors
+    /// None: writing into a string cannot fail, but its interface says it could.
+    pub fn tables(&self) -> Result<String, std::fmt::Error> {
+        let mut out = self.adapter.title();
+        write!(
+            out,
+            "\n| | median ms | fastest ms | a second |\n|---|---|---|---|\n"
+        )?;
+        for Tried { name, outcome } in &self.parts {
+            match outcome {
+                Outcome::Timed(times) => writeln!(
+                    out,
+                    "| {name} | {:.2} | {:.2} | {:.1} |",
+                    times.median_ms,
+                    times.fastest_ms,
+                    1e3 / times.median_ms
+                )?,
+                Outcome::Refused(why) => writeln!(out, "| {name} | refused: {why} | | |")?,
+            }
+        }
+        write!(
+            out,
+            "\n| | alone, median ms | fastest ms | in a row, ms | launches | waits | MiB in use, warm and at the end | MiB reserved |\n\
+             |---|---|---|---|---|---|---|---|\n"
+        )?;
+        for Tried { name, outcome } in &self.iterations {
+            match outcome {
+                Outcome::Timed(i) => writeln!(
+                    out,
+                    "| {name} | {:.2} | {:.2} | {:.2} | {} | {} | {}, {} | {}, {} |",
+                    i.alone.median_ms,
+                    i.alone.fastest_ms,
+                    i.in_a_row_ms,
+                    i.counted.launches,
+                    i.counted.waits,
+                    mib(i.memory_warm, |m| m.in_use),
+                    mib(i.memory, |m| m.in_use),
+                    mib(i.memory_warm, |m| m.reserved),
+                    mib(i.memory, |m| m.reserved),
+                )?,
+                Outcome::Refused(why) => {
+                    writeln!(out, "| {name} | refused: {why} | | | | | | |")?;
+                }
+            }
+        }
+        Ok(out)
+    }
+}
+
+fn mib(memory: Option<Memory>, of: impl Fn(Memory) -> u64) -> String {
+    memory.map_or_else(
+        || "–".to_owned(),
+        |m| format!("{:.0}", of(m) as f64 / 1_048_576.0),
+    )
+}
