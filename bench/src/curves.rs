@@ -35,10 +35,7 @@ pub fn curves(
     iterations: usize,
 ) -> Result<Vec<Curve>, Box<dyn std::error::Error>> {
     let mut curves = Vec::new();
-    for (model, name) in [
-        (BlurKind::Kernels, "kernels"),
-        (BlurKind::Camera, "camera"),
-    ] {
+    for (model, name) in [(BlurKind::Kernels, "kernels"), (BlurKind::Camera, "camera")] {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../demo");
         let options = io::LoadOptions {
             downscale: 5,

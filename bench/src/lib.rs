@@ -3,6 +3,7 @@
 //! `cargo xtask bench` runs it; docs/PERFORMANCE.md holds what it found.
 
 pub mod bound;
+pub mod curves;
 pub mod floor;
 #[cfg(any(feature = "wgpu", feature = "cuda"))]
 pub mod gpu;

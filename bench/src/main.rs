@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use bpnet::Extractor;
 use clap::{Parser, Subcommand};
+use limpid_bench::curves::{curves, plot};
 use limpid_bench::growth::{sweeps, time_point};
 use limpid_bench::iteration::{Breakdown, breakdown, time_steps, time_workload};
 use limpid_bench::machine::Machine;
@@ -99,6 +100,12 @@ enum Command {
         #[arg(long, default_value = "out/bench")]
         out: PathBuf,
     },
+    /// Trains the demo at 32x18 on every backend of this build: losses in one plot, `curves.svg`, and scores, `curves.json`.
+    Curves {
+        /// Where the results go.
+        #[arg(long, default_value = "out/bench")]
+        out: PathBuf,
+    },
     /// Copies a scene and turns its training cameras at random, to measure what refining poses gives.
     Perturb {
         /// The scene, in the layout of Shape-of-Motion.
@@ -131,6 +138,7 @@ fn main() -> ExitCode {
             px,
             seed,
         }) => perturb(scene, out, *px, *seed),
+        Some(Command::Curves { out }) => all_curves(out),
         Some(Command::Launches {
             width,
             height,
@@ -185,14 +193,39 @@ fn net(size: [usize; 2], repeats: usize, frozen: bool, ndarray: bool) -> Result<
     feature = "ndarray",
     allow(deprecated, reason = "kept as a second, independent CPU backend")
 )]
+fn ndarray_device() -> Option<Device> {
+    #[cfg(feature = "ndarray")]
+    return Some(Device::ndarray());
+    #[cfg(not(feature = "ndarray"))]
+    None
+}
+
 fn net_device(ndarray: bool) -> Result<Device, Failure> {
     if !ndarray {
         return Ok(Device::flex());
     }
-    #[cfg(feature = "ndarray")]
-    return Ok(Device::ndarray());
-    #[cfg(not(feature = "ndarray"))]
-    Err("build with `--features ndarray`".into())
+    ndarray_device().ok_or_else(|| "build with `--features ndarray`".into())
+}
+
+fn all_curves(out: &Path) -> Result<(), Failure> {
+    let mut devices = vec![("flex", Device::flex(), 300)];
+    devices.extend(ndarray_device().map(|device| ("ndarray", device, 300)));
+    if let Ok(gpu) = trainer::Gpu::best("wgpu") {
+        // A GPU that a CPU plays takes minutes for a third of it.
+        let iterations = if gpu.is_software { 100 } else { 300 };
+        devices.push(("wgpu", gpu.device, iterations));
+    }
+    let mut all = Vec::new();
+    for (backend, device, iterations) in devices {
+        eprintln!("{backend}, {iterations} iterations");
+        all.extend(curves(backend, &device, iterations)?);
+    }
+    for curve in &all {
+        println!("{} {} {:?}", curve.backend, curve.model, curve.psnr);
+    }
+    std::fs::create_dir_all(out)?;
+    std::fs::write(out.join("curves.json"), serde_json::to_string(&all)?)?;
+    plot(&all, &out.join("curves.svg"))
 }
 
 #[cfg(any(feature = "wgpu", feature = "cuda"))]

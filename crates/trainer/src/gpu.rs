@@ -3,6 +3,7 @@
 use burn::tensor::Device;
 
 use crate::TrainError;
+use serde::Serialize;
 
 /// Storage buffers that a kernel may have: ours take up to seven, and CubeCL adds one.
 const BUFFERS: u32 = 8;
@@ -34,6 +35,15 @@ pub struct Gpu {
     pub units: u32,
     /// What tensors are made on.
     pub device: Device,
+}
+
+/// Bytes of a device's memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct MemoryUse {
+    /// Held by tensors.
+    pub in_use: u64,
+    /// Held by the pools that tensors come from.
+    pub reserved: u64,
 }
 
 /// Why there is no GPU to run on.
@@ -88,6 +98,21 @@ impl Gpu {
         found.extend(runtimes::devices("wgpu", burn::tensor::DeviceType::Wgpu));
         found.sort_by_key(|gpu| gpu.is_software);
         found
+    }
+
+    /// What its memory is used for now, by all that runs on it in this program; `None` where nothing can.
+    #[must_use]
+    pub fn memory_use(&self) -> Option<MemoryUse> {
+        #[cfg(feature = "cube")]
+        if let burn::backend::DispatchDevice::Cube(cube) = self.device.as_dispatch() {
+            let scope = cubecl::MemoryScope::Device;
+            let usage = cube.client().memory_report(scope).usage();
+            return Some(MemoryUse {
+                in_use: usage.bytes_in_use,
+                reserved: usage.bytes_reserved,
+            });
+        }
+        None
     }
 
     /// Why it cannot run the kernels, if it cannot.

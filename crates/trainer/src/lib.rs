@@ -84,7 +84,7 @@ pub use checkpoint::FILE_NAME as CHECKPOINT_FILE;
 pub use corrections::{Corrections, FrameCorrection};
 pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError};
 pub use glam;
-pub use gpu::{Gpu, NoGpu};
+pub use gpu::{Gpu, MemoryUse, NoGpu};
 pub use model::Model;
 pub use parameter::{Group, Parameter, Rows};
 pub use run::{Run, TrainingView};
