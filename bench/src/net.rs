@@ -52,16 +52,23 @@ pub fn time_net(
         mask: values(1).squeeze_dim(2),
     };
     let mut times = Vec::new();
-    for _ in 0..repeats + 2 {
+    for pass in 0..repeats + 2 {
         let image = values(3).require_grad();
         device.sync()?;
         let start = Instant::now();
         let field = net.forward(1, &inputs, extractor)?;
         let blurred = composite(image.clone(), &field)?;
         let grads = blurred.picture().sum().backward();
-        drop(grads);
         device.sync()?;
         times.push(start.elapsed().as_secs_f64() * 1e3);
+        // Where a device's memory was short, kernels were skipped, and only who reads is told.
+        if pass == 0 || pass == repeats + 1 {
+            for (_, parameter) in net.parameters() {
+                if let Some(gradient) = parameter.grad(&grads) {
+                    gradient.sum().try_into_data()?;
+                }
+            }
+        }
     }
     let mut times = times.split_off(2);
     times.sort_by(f64::total_cmp);

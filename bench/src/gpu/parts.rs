@@ -4,7 +4,7 @@ use std::error::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use glam::DAffine3;
 use serde::Serialize;
 use splat_core::{Exposure, Extra, Splats, Transfer, Viewpoint, expose, pose_rows, render};
@@ -73,23 +73,34 @@ fn with_causes(error: &dyn Error) -> String {
     text
 }
 
-/// Times something `repeats` times after two: the first compiles kernels, the second finds buffers.
+/// Times something `repeats` times after two: the first compiles kernels, the second finds buffers. What comes out of the first
+/// and the last is read: where memory was short, kernels were skipped, and only who reads is told.
 fn time(
     device: &Device,
     repeats: usize,
-    mut piece: impl FnMut() -> Result<(), Failure>,
+    mut piece: impl FnMut() -> Result<Vec<Tensor<1>>, Failure>,
 ) -> Result<Times, Failure> {
-    piece()?;
+    read(piece()?)?;
     piece()?;
     device.sync()?;
-    let mut times = Vec::with_capacity(repeats);
+    let (mut times, mut last) = (Vec::with_capacity(repeats), Vec::new());
     for _ in 0..repeats {
+        drop(last);
+        device.sync()?;
         let start = Instant::now();
-        piece()?;
+        last = piece()?;
         device.sync()?;
         times.push(start.elapsed().as_secs_f64() * 1e3);
     }
+    read(last)?;
     Times::of(times).ok_or_else(|| "nothing was timed".into())
+}
+
+fn read(results: Vec<Tensor<1>>) -> Result<(), Failure> {
+    for result in results {
+        result.sum().try_into_data()?;
+    }
+    Ok(())
 }
 
 /// A render without a graph: colour, alpha and depth.
@@ -100,8 +111,8 @@ pub fn time_render(workload: &Workload, device: &Device, repeats: usize) -> Resu
     let splats = Splats::new(&workload.gaussians(), device)?;
     let view = viewpoint(workload, &splats);
     time(device, repeats, || {
-        render(splats.clone(), &view, Extra::default())?;
-        Ok(())
+        let rendered = render(splats.clone(), &view, Extra::default())?;
+        Ok(vec![rendered.output().clone().flatten(0, 2)])
     })
 }
 
@@ -119,10 +130,11 @@ pub fn time_rasteriser(
     let view = viewpoint(workload, &splats);
     time(device, repeats, || {
         let rendered = render(splats.clone(), &view, Extra::default())?;
-        if back {
-            drop(rendered.output().clone().sum().backward());
+        let output = rendered.output().clone();
+        if !back {
+            return Ok(vec![output.inner().flatten(0, 2)]);
         }
-        Ok(())
+        Ok(gradients(&splats, &output.sum().backward()))
     })
 }
 
@@ -156,8 +168,10 @@ pub fn time_exposure(
             transfer: Transfer::Srgb,
         };
         let exposed = expose(splats.clone(), &middle, exposure, None)?;
-        drop(exposed.color.sum().backward());
-        Ok(())
+        let grads = exposed.color.sum().backward();
+        let mut found = gradients(&splats, &grads);
+        found.extend(poses.grad(&grads).map(|g| g.flatten(0, 2)));
+        Ok(found)
     })
 }
 
@@ -172,6 +186,18 @@ fn leaves(workload: &Workload, device: &Device) -> Result<Splats, Failure> {
         opacity_logits: splats.opacity_logits.require_grad(),
         sh: splats.sh.require_grad(),
     })
+}
+
+fn gradients(splats: &Splats, grads: &Gradients) -> Vec<Tensor<1>> {
+    let leaves = [
+        &splats.means,
+        &splats.quats,
+        &splats.log_scales,
+        &splats.opacity_logits,
+        &splats.sh,
+    ];
+    let found = leaves.into_iter().filter_map(|leaf| leaf.grad(grads));
+    found.map(|gradient| gradient.flatten(0, 1)).collect()
 }
 
 fn viewpoint(workload: &Workload, splats: &Splats) -> Viewpoint {
