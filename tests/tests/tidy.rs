@@ -43,7 +43,10 @@ const ARROWS: [(&str, &[&str]); 13] = [
             "trainer",
         ],
     ),
-    ("limpid-bench", &["splat-core", "bpnet", "io", "trainer"]),
+    (
+        "limpid-bench",
+        &["host", "splat-core", "bpnet", "io", "trainer"],
+    ),
     ("xtask", &[]),
 ];
 

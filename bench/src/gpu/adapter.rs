@@ -2,14 +2,11 @@
 
 use std::path::Path;
 use std::process::Command;
-use std::time::{SystemTime, UNIX_EPOCH};
 
-use burn::backend::DispatchDevice;
-use cubecl::MemoryScope;
 use serde::Serialize;
 use trainer::Gpu;
 
-/// A GPU and its limits, with the program's version and the day: what a time is worth nothing without.
+/// A GPU and its limits, with the program's version: what a time is worth nothing without.
 #[derive(Clone, Debug, Serialize)]
 pub struct Adapter {
     /// As it names itself.
@@ -32,8 +29,6 @@ pub struct Adapter {
     pub units: u32,
     /// The program's commit, with `-dirty` behind it where files differ from it.
     pub commit: Option<String>,
-    /// Year, month and day, UTC.
-    pub date: String,
 }
 
 impl Adapter {
@@ -51,7 +46,6 @@ impl Adapter {
             shared_memory: gpu.shared_memory,
             units: gpu.units,
             commit: commit(),
-            date: date(),
         }
     }
 
@@ -65,36 +59,11 @@ impl Adapter {
             ""
         };
         format!(
-            "{} by {} ({driver}), commit {}, {}{warning}\n",
+            "{} by {} ({driver}), commit {}{warning}\n",
             self.name,
             self.runtime,
             self.commit.as_deref().unwrap_or("unknown"),
-            self.date
         )
-    }
-}
-
-/// Bytes of the device that all pools together use, and that they hold.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Memory {
-    /// Bytes in use.
-    pub in_use: u64,
-    /// Bytes reserved.
-    pub reserved: u64,
-}
-
-impl Memory {
-    /// As it is now; `None` for a device that is none of CubeCL's.
-    #[must_use]
-    pub fn of(gpu: &Gpu) -> Option<Self> {
-        let DispatchDevice::Cube(cube) = gpu.device.as_dispatch() else {
-            return None;
-        };
-        let usage = cube.client().memory_report(MemoryScope::Device).usage();
-        Some(Self {
-            in_use: usage.bytes_in_use,
-            reserved: usage.bytes_reserved,
-        })
     }
 }
 
@@ -137,51 +106,4 @@ fn commit() -> Option<String> {
         .ok()?;
     let text = String::from_utf8(git.stdout).ok()?;
     git.status.success().then(|| text.trim().to_owned())
-}
-
-#[expect(
-    clippy::disallowed_methods,
-    reason = "says when something was timed; nothing that is computed depends on it"
-)]
-fn date() -> String {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    let days = since.map_or(0, |since| since.as_secs() / 86_400);
-    let [year, month, day] = civil(days);
-    format!("{year}-{month:02}-{day:02}")
-}
-
-/// Year, month and day, so many days after the first of 1970.
-fn civil(days: u64) -> [u64; 3] {
-    let leap =
-        |year: u64| year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
-    let (mut year, mut left) = (1970, days);
-    while left >= 365 + u64::from(leap(year)) {
-        left -= 365 + u64::from(leap(year));
-        year += 1;
-    }
-    let february = 28 + u64::from(leap(year));
-    let mut month = 1;
-    for length in [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30] {
-        if left < length {
-            break;
-        }
-        left -= length;
-        month += 1;
-    }
-    [year, month, left + 1]
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn days_have_the_dates_of_the_calendar() {
-        for (days, date) in [
-            (0, [1970, 1, 1]),
-            (11_016, [2000, 2, 29]),
-            (11_322, [2000, 12, 31]),
-            (20_454, [2026, 1, 1]),
-        ] {
-            assert_eq!(super::civil(days), date, "{days} days");
-        }
-    }
 }

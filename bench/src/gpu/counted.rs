@@ -4,12 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use cubecl::logging::{LaunchObservation, LaunchObserver};
+use host::WAIT;
 use serde::Serialize;
 
 use crate::spans::{Stages, innermost};
-
-/// Name of the span in which the program waits for something that it reads back.
-pub const WAIT: &str = "wait";
 
 /// What was launched and waited for.
 #[derive(Clone, Debug, Serialize)]

@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use bpnet::Extractor;
 use serde::Serialize;
-use trainer::Gpu;
+use trainer::{Gpu, MemoryUse};
 
-use super::adapter::{Adapter, Memory};
+use super::adapter::Adapter;
 use super::counted::{Counted, count};
 use super::parts::{Outcome, Times, time_exposure, time_rasteriser, time_render};
 use crate::iteration::time_steps;
@@ -27,7 +27,7 @@ pub struct Report {
     /// Whole iterations.
     pub iterations: Vec<Tried<Iteration>>,
     /// The device's memory at the end.
-    pub memory: Option<Memory>,
+    pub memory: Option<MemoryUse>,
 }
 
 /// Something of a size, and what came of it.
@@ -49,9 +49,9 @@ pub struct Iteration {
     /// What one launches and waits for.
     pub counted: Counted,
     /// The device's memory after the first iterations.
-    pub memory_warm: Option<Memory>,
+    pub memory_warm: Option<MemoryUse>,
     /// The device's memory after the last.
-    pub memory: Option<Memory>,
+    pub memory: Option<MemoryUse>,
 }
 
 /// The sizes of a run.
@@ -124,7 +124,7 @@ pub fn time_all(gpu: &Gpu, stages: &Stages, quick: bool) -> Report {
         adapter: Adapter::of(gpu),
         parts,
         iterations: iterations.into(),
-        memory: Memory::of(gpu),
+        memory: gpu.memory_use(),
     }
 }
 
@@ -167,7 +167,7 @@ fn time_iteration(
         trainer.step()?;
     }
     device.sync()?;
-    let memory_warm = Memory::of(gpu);
+    let memory_warm = gpu.memory_use();
     let (step, counted) = count(stages, || trainer.step());
     step?;
     let (times, _) = time_steps(&mut trainer, device, stages, repeats)?;
@@ -182,7 +182,7 @@ fn time_iteration(
         in_a_row_ms,
         counted,
         memory_warm,
-        memory: Memory::of(gpu),
+        memory: gpu.memory_use(),
     })
 }
 
@@ -238,7 +238,7 @@ impl Report {
     }
 }
 
-fn mib(memory: Option<Memory>, of: impl Fn(Memory) -> u64) -> String {
+fn mib(memory: Option<MemoryUse>, of: impl Fn(MemoryUse) -> u64) -> String {
     memory.map_or_else(
         || "–".to_owned(),
         |m| format!("{:.0}", of(m) as f64 / 1_048_576.0),

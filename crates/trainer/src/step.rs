@@ -97,8 +97,10 @@ impl Trainer {
         let sums = readings.add(error.sums.clone());
         let lesson = shown.trace.as_ref().and_then(Trace::lesson);
         let lesson = lesson.map(|lesson| readings.add(lesson.flatten(0, 1)));
+        let span = trace_span!("check gradients").entered();
         let counts = readings.add(count_all_not_finite(&gradients));
-        let readings = trace_span!("check").in_scope(|| readings.read())?;
+        let readings = readings.read()?;
+        drop(span);
         let values = &readings[values];
         // All is checked before anything is stepped: after an error the state is whole.
         if values.iter().any(|v| !v.is_finite()) || readings[counts].iter().any(|n| *n != 0.0) {
