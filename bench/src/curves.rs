@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::workload::on_device;
 use plotters::prelude::*;
 use serde::Serialize;
 use trainer::settings::BlurKind;
@@ -41,13 +42,15 @@ pub fn curves(
             downscale: 5,
             ..io::LoadOptions::default()
         };
-        let scene = io::Scene::open_with(folder.as_ref(), &options)?;
+        let scene = || io::Scene::open_with(folder.as_ref(), &options);
         let mut settings = Settings {
             iterations: 300,
             ..Settings::default()
         };
         settings.blur.model = model;
-        let mut trainer = Trainer::new(scene, settings, device)?;
+        // The same start for all: the first fit of the motion's bases takes a GPU that a CPU plays many minutes.
+        let start = Trainer::new(scene()?, settings, &Device::flex())?;
+        let mut trainer = on_device(&start, scene()?, device)?;
         let mut curve = Curve {
             backend: backend.to_owned(),
             model: name,

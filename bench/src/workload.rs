@@ -181,13 +181,7 @@ impl Workload {
         while trainer.iteration() + 1 < self.first_full_iteration() {
             trainer.step()?;
         }
-        let name = format!("limpid-bench-{}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
-        trainer.save(&folder)?;
-        let moved = Trainer::load(&folder, self.scene(), device);
-        // A folder that stays behind does no harm.
-        drop(std::fs::remove_dir_all(&folder));
-        moved
+        on_device(&trainer, self.scene(), device)
     }
 
     /// From here on (1-based) every iteration does the same work: blur begins after 50, L_spa 50 later.
@@ -195,6 +189,20 @@ impl Workload {
     pub fn first_full_iteration(&self) -> usize {
         if self.blur == Blur::Off { 4 } else { 101 }
     }
+}
+
+/// A trainer as it is, on another device.
+///
+/// # Errors
+/// The checkpoint between the two cannot be written or read.
+pub fn on_device(trainer: &Trainer, scene: Scene, device: &Device) -> Result<Trainer, TrainError> {
+    let name = format!("limpid-bench-{}", std::process::id());
+    let folder = std::env::temp_dir().join(name);
+    trainer.save(&folder)?;
+    let moved = Trainer::load(&folder, scene, device);
+    // A folder that stays behind does no harm.
+    drop(std::fs::remove_dir_all(&folder));
+    moved
 }
 
 fn uniform(rng: &mut ChaCha8Rng) -> f64 {
