@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::workload::on_device;
 use plotters::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use trainer::settings::BlurKind;
 use trainer::{Device, Settings, Trainer};
 
@@ -14,12 +14,12 @@ const SCORED: [usize; 3] = [100, 200, 300];
 const WINDOW: usize = 12;
 
 /// Losses and scores of one run.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Curve {
     /// Where it ran.
     pub backend: String,
     /// Its blur model.
-    pub model: &'static str,
+    pub model: String,
     /// Loss of every iteration.
     pub losses: Vec<f64>,
     /// Iterations done, and the mean PSNR over the test views then, dB.
@@ -53,7 +53,7 @@ pub fn curves(
         let mut trainer = on_device(&start, scene()?, device)?;
         let mut curve = Curve {
             backend: backend.to_owned(),
-            model: name,
+            model: name.to_owned(),
             losses: Vec::new(),
             psnr: Vec::new(),
         };

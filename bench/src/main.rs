@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use bpnet::Extractor;
 use clap::{Parser, Subcommand};
-use limpid_bench::curves::{curves, plot};
+use limpid_bench::curves::{Curve, curves, plot};
 use limpid_bench::growth::{sweeps, time_point};
 use limpid_bench::iteration::{Breakdown, breakdown, time_steps, time_workload};
 use limpid_bench::machine::Machine;
@@ -100,7 +100,8 @@ enum Command {
         #[arg(long, default_value = "out/bench")]
         out: PathBuf,
     },
-    /// Trains the demo at 32x18 on every backend of this build: losses in one plot, `curves.svg`, and scores, `curves.json`.
+    /// Trains the demo at 32x18 on every backend of this build: losses in one plot, `curves.svg`, and scores, `curves.json`. What
+    /// another build left there of other backends stays.
     Curves {
         /// Where the results go.
         #[arg(long, default_value = "out/bench")]
@@ -215,16 +216,22 @@ fn all_curves(out: &Path) -> Result<(), Failure> {
         let iterations = if gpu.is_software { 100 } else { 300 };
         devices.push(("wgpu", gpu.device, iterations));
     }
-    let mut all = Vec::new();
+    let file = out.join("curves.json");
+    let mut all: Vec<Curve> = match std::fs::read_to_string(&file) {
+        Ok(text) => serde_json::from_str(&text)?,
+        Err(_) => Vec::new(),
+    };
     for (backend, device, iterations) in devices {
         eprintln!("{backend}, {iterations} iterations");
-        all.extend(curves(backend, &device, iterations)?);
+        let found = curves(backend, &device, iterations)?;
+        all.retain(|curve| curve.backend != backend);
+        all.extend(found);
     }
     for curve in &all {
         println!("{} {} {:?}", curve.backend, curve.model, curve.psnr);
     }
     std::fs::create_dir_all(out)?;
-    std::fs::write(out.join("curves.json"), serde_json::to_string(&all)?)?;
+    std::fs::write(file, serde_json::to_string(&all)?)?;
     plot(&all, &out.join("curves.svg"))
 }
 

@@ -101,12 +101,12 @@ fn gpu(runtime: &str) -> Result<Device, Failure> {
         )
     })?;
     if gpu.is_software {
-        eprintln!(
+        crate::say::say!(
             "note: {} is played by the CPU: --backend flex is many times faster",
             gpu.name
         );
     } else {
-        eprintln!("on {}", gpu.name);
+        crate::say::say!("on {}", gpu.name);
     }
     Ok(gpu.device)
 }
@@ -123,6 +123,22 @@ impl Config {
             )
         })?;
         parse_json(&text, &path)
+    }
+
+    /// An error if the file says something else than what the run in this folder was trained with: it was edited since.
+    pub(crate) fn check_trained(&self, folder: &Path, trained: &Settings) -> Result<(), Failure> {
+        let [said, trained] = [&self.settings, trained].map(serde_json::to_value);
+        let Some(difference) = difference("", &said?, &trained?) else {
+            return Ok(());
+        };
+        let path = folder.join(CONFIG_FILE);
+        Err(format!(
+            "{}: {difference} in the checkpoint; a run goes on with the settings that it was started with: \
+             undo the change, or start a new run with --config {}",
+            path.display(),
+            path.display()
+        )
+        .into())
     }
 
     /// The same with the scene in another place, if one is given.
@@ -147,6 +163,27 @@ impl Config {
         };
         Ok(io::Scene::open_with(dir, &options)?)
     }
+}
+
+/// The first value that differs, `key is A here and B`; arrays are compared whole.
+fn difference(key: &str, here: &serde_json::Value, there: &serde_json::Value) -> Option<String> {
+    let (Some(a), Some(b)) = (here.as_object(), there.as_object()) else {
+        return (here != there).then(|| format!("`{key}` is {here} here and {there}"));
+    };
+    let none = serde_json::Value::Null;
+    let keys = a
+        .keys()
+        .chain(b.keys().filter(|name| !a.contains_key(*name)));
+    let mut found = keys.filter_map(|name| {
+        let key = if key.is_empty() {
+            name.clone()
+        } else {
+            format!("{key}.{name}")
+        };
+        let [a, b] = [a, b].map(|table| table.get(name).unwrap_or(&none));
+        difference(&key, a, b)
+    });
+    found.next()
 }
 
 fn read_json(path: &Path) -> Result<Config, Failure> {

@@ -4,6 +4,7 @@ use crate::config::Config;
 use crate::failure::Failure;
 use crate::outputs;
 use crate::render;
+use std::io::{ErrorKind, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use trainer::ColorMap;
@@ -20,9 +21,9 @@ pub(crate) struct EvalArguments {
     /// A relative path that is not found is looked for in the scene's folder.
     #[arg(long, value_name = "FILE")]
     colour_map: Option<PathBuf>,
-    /// Write the scores to this file, in the form of metrics.json.
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    /// Write the scores in the form of metrics.json: to this file, or without one to standard output in the place of text.
+    #[arg(long, value_name = "FILE", num_args = 0..=1)]
+    json: Option<Option<PathBuf>>,
 }
 
 /// What of a colour map's file counts.
@@ -55,10 +56,23 @@ pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
         }
     };
     let evaluation = run.evaluate(&scene, colors.as_ref())?;
-    eprintln!("{}", outputs::summary(&evaluation));
-    if let Some(path) = &arguments.json {
-        let seconds = outputs::read_seconds(&arguments.run.join("checkpoint"));
-        outputs::write_metrics(path, &evaluation, &config, seconds)?;
+    let seconds = outputs::read_seconds(&arguments.run.join("checkpoint"));
+    let metrics = outputs::metrics(&evaluation, &run, config.run.backend, seconds);
+    let text = match &arguments.json {
+        Some(None) => serde_json::to_string_pretty(&metrics)?,
+        Some(Some(_)) | None => outputs::summary(&evaluation),
+    };
+    print(&text)?;
+    if let Some(Some(path)) = &arguments.json {
+        io::write_json(path, &metrics)?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Prints what the program was called for. A reader who has seen enough is no error.
+fn print(text: &str) -> Result<(), Failure> {
+    match writeln!(std::io::stdout().lock(), "{text}") {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(format!("{e}: standard output").into()),
+        Ok(()) | Err(_) => Ok(()),
+    }
 }

@@ -4,13 +4,17 @@ mod config;
 mod devices;
 mod eval;
 mod failure;
+mod lock;
 mod outputs;
 mod render;
+mod say;
 mod sheet;
+mod stop;
 mod train;
 
 use clap::{Parser, Subcommand};
 use failure::with_causes;
+use say::say;
 use std::process::ExitCode;
 
 /// An iteration frees and takes hundreds of megabytes; the system's allocator would hand them back and fault them in
@@ -48,7 +52,7 @@ fn main() -> ExitCode {
     match result {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("limpid: {}", with_causes(&*error));
+            say!("limpid: {}", with_causes(&*error));
             ExitCode::FAILURE
         }
     }

@@ -1,6 +1,6 @@
 //! What a run leaves in its folder.
 
-use crate::config::{CONFIG_FILE, Config};
+use crate::config::{Backend, CONFIG_FILE};
 use crate::failure::Failure;
 use crate::sheet;
 use io::Scene;
@@ -21,7 +21,7 @@ const SECONDS_FILE: &str = "seconds.json";
 
 /// `metrics.json`.
 #[derive(Serialize)]
-struct Metrics<'a> {
+pub(crate) struct Metrics<'a> {
     #[serde(flatten)]
     evaluation: &'a Evaluation,
     seconds: f64,
@@ -30,29 +30,30 @@ struct Metrics<'a> {
     settings: &'a Settings,
 }
 
-/// Refuses a folder that holds another run's results.
-pub(crate) fn refuse_results(out: &Path) -> Result<(), Failure> {
-    match RESULTS.iter().find(|name| out.join(name).exists()) {
-        None => Ok(()),
-        Some(name) => Err(format!(
-            "{} holds the results of another run ({name}); --resume goes on with it, --force replaces it, --out chooses another folder",
-            out.display()
-        )
-        .into()),
-    }
-}
-
-/// Makes the folder, and removes another run's results from it, but nothing else: a folder that holds such names and no
-/// configuration of ours is left alone.
-pub(crate) fn clear_folder(out: &Path) -> Result<(), Failure> {
-    if refuse_results(out).is_err() && !is_run(out) {
+/// Refuses a folder that holds another run's results, unless they are to be replaced; one that holds such names and no
+/// configuration of ours is left alone in any case.
+pub(crate) fn check_folder(out: &Path, replace: bool) -> Result<(), Failure> {
+    let Some(name) = RESULTS.iter().find(|name| out.join(name).exists()) else {
+        return Ok(());
+    };
+    let folder = out.display();
+    if !replace {
         return Err(format!(
-            "{} is no run of ours, and --force would remove files from it; choose another folder with --out",
-            out.display()
+            "{folder} holds the results of another run ({name}); --resume goes on with it, --force replaces it, --out chooses another folder"
         )
         .into());
     }
-    std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()))?;
+    if !is_run(out) {
+        return Err(format!(
+            "{folder} is no run of ours, and --force would remove files from it; choose another folder with --out"
+        )
+        .into());
+    }
+    Ok(())
+}
+
+/// Removes another run's results, but nothing else.
+pub(crate) fn clear_folder(out: &Path) -> Result<(), Failure> {
     for path in RESULTS.map(|name| out.join(name)) {
         let removed = if path.is_dir() {
             std::fs::remove_dir_all(&path)
@@ -129,21 +130,21 @@ pub(crate) fn write_renders(
     Ok(())
 }
 
-/// Writes `metrics.json`.
-pub(crate) fn write_metrics(
-    path: &Path,
-    evaluation: &Evaluation,
-    config: &Config,
+/// What `metrics.json` holds.
+pub(crate) fn metrics<'a>(
+    evaluation: &'a Evaluation,
+    run: &'a Run,
+    backend: Backend,
     seconds: f64,
-) -> Result<(), Failure> {
-    let metrics = Metrics {
+) -> Metrics<'a> {
+    let settings = run.settings();
+    Metrics {
         evaluation,
         seconds,
-        backend: config.run.backend.name(),
-        seed: config.settings.seed,
-        settings: &config.settings,
-    };
-    Ok(io::write_json(path, &metrics)?)
+        backend: backend.name(),
+        seed: settings.seed,
+        settings,
+    }
 }
 
 /// The scores in a few lines.

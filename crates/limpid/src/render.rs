@@ -3,6 +3,7 @@
 use crate::config::Config;
 use crate::failure::{Failure, with_causes};
 use crate::outputs;
+use crate::say::say;
 use io::Scene;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -20,14 +21,14 @@ pub(crate) struct RenderArguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Write the scene at this time (training frames, may be fractional) as PLY instead of pictures; may be given more than once.
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     ply_at: Vec<f32>,
     /// Write the scene at every training frame as a numbered PLY sequence (`ply/frame_0000.ply` …) instead of pictures.
     #[arg(long)]
     ply_sequence: bool,
     /// Take a picture at this time (training frames, may be fractional), from where the camera was then, instead of all
     /// pictures; may be given more than once. Sharp unless --shutter or --aperture says otherwise.
-    #[arg(long, value_name = "TIME", conflicts_with_all = ["ply_at", "ply_sequence"])]
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true, conflicts_with_all = ["ply_at", "ply_sequence"])]
     at: Vec<f32>,
     /// With --at: the shutter is open for so many training frames.
     #[arg(long, value_name = "FRAMES", requires = "at", default_value_t = 0.0)]
@@ -46,6 +47,11 @@ pub(crate) struct RenderArguments {
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
     let config = Config::of_run(&arguments.run)?;
     let run = open(&arguments.run, &config)?;
+    for (flag, times) in [("--at", &arguments.at), ("--ply-at", &arguments.ply_at)] {
+        times
+            .iter()
+            .try_for_each(|time| within(&run, flag, *time))?;
+    }
     let out = arguments
         .out
         .clone()
@@ -71,9 +77,6 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
     }
     let model = run.model();
     for &time in &arguments.ply_at {
-        if !time.is_finite() {
-            return Err(format!("--ply-at {time}: give a time in training frames").into());
-        }
         io::write_ply(
             &out.join(format!("scene_at_{time}.ply")),
             &model.gaussians(Some(time)),
@@ -88,8 +91,20 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
             io::write_ply(&path, &model.gaussians(Some(view.time)))?;
         }
     }
-    eprintln!("written to {}", out.display());
+    say!("written to {}", out.display());
     Ok(ExitCode::SUCCESS)
+}
+
+/// An error for a time outside of the video, where nothing is known of the scene.
+fn within(run: &Run, flag: &str, time: f32) -> Result<(), Failure> {
+    let views = run.views().train.iter();
+    let (from, to) = views.fold((f32::INFINITY, f32::NEG_INFINITY), |(from, to), view| {
+        (from.min(view.time), to.max(view.time))
+    });
+    if time >= from && time <= to {
+        return Ok(());
+    }
+    Err(format!("{flag} {time}: the video goes from {from} to {to}, in training frames").into())
 }
 
 /// The run in a folder, from its checkpoint.
@@ -109,7 +124,7 @@ fn frames(run: &Run, config: &Config, given: Option<&Path>) -> Result<Option<Sce
     match scene {
         Err(problem) if given.is_none() => {
             let problem = with_causes(&*problem);
-            eprintln!("note: the pictures of blur go without the blurry frames: {problem}");
+            say!("note: the pictures of blur go without the blurry frames: {problem}");
             Ok(None)
         }
         scene => scene.map(Some),

@@ -2,19 +2,17 @@
 
 use crate::config::{self, Backend, CONFIG_FILE, Config};
 use crate::failure::{Failure, with_causes};
+use crate::lock::Lock;
 use crate::outputs;
+use crate::say::say;
+use crate::stop::{INTERRUPTED, Stop};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use toml::{Table, Value};
-use trainer::{Settings, StepReport, TrainError, Trainer};
-
-/// Exit code after Ctrl-C, as shells have it.
-const INTERRUPTED: u8 = 130;
+use trainer::{Run, Settings, StepReport, TrainError, Trainer};
 
 /// Arguments of `limpid train`.
 #[derive(Debug, clap::Args)]
@@ -107,8 +105,9 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
         None => default_out(&asked)?,
     };
     let checkpoint = out.join("checkpoint");
-    let (config, mut trainer, mut seconds) = if arguments.resume {
+    let (config, mut trainer, mut seconds, _lock) = if arguments.resume {
         let mut config = Config::of_run(&out)?;
+        let lock = Lock::of(&out)?;
         if let Some(scene) = &arguments.scene {
             config.run.scene = Some(absolute(scene)?);
         }
@@ -116,40 +115,48 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
             config.run.backend = backend;
         }
         let device = config.run.backend.device()?;
-        let trainer = Trainer::load(&checkpoint, config.open_scene()?, &device)?;
-        eprintln!(
+        let run = Run::open(&checkpoint, &device)?;
+        config.check_trained(&out, run.settings())?;
+        let trainer = Trainer::resume(run, config.open_scene()?)?;
+        say!(
             "going on after iteration {} of {}",
             trainer.iteration(),
             trainer.settings().iterations
         );
-        (config, trainer, outputs::read_seconds(&checkpoint))
+        let seconds = outputs::read_seconds(&checkpoint);
+        (config, trainer, seconds, lock)
     } else {
         let device = asked.run.backend.device()?;
-        if !arguments.force {
-            outputs::refuse_results(&out)?;
-        }
+        outputs::check_folder(&out, arguments.force)?;
+        // A folder that is not there yet is made once it is clear that there will be a run.
+        let early = out.is_dir().then(|| Lock::of(&out)).transpose()?;
         let scene = asked.open_scene()?;
         // What it is scored against is read at the end: better to fail now.
         scene.truth()?;
         for note in &scene.notes {
-            eprintln!("note: {note}");
+            say!("note: {note}");
         }
         let trainer = Trainer::new(scene, asked.settings.clone(), &device)?;
+        std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
+        let lock = match early {
+            Some(lock) => lock,
+            None => Lock::of(&out)?,
+        };
+        // Another run may have come and gone since.
+        outputs::check_folder(&out, arguments.force)?;
         // Only now: a mistake in the arguments or the scene costs no earlier results.
         outputs::clear_folder(&out)?;
         io::write_json(&out.join(CONFIG_FILE), &asked)?;
-        (asked, trainer, 0.0)
+        (asked, trainer, 0.0, lock)
     };
     for note in &trainer.survey().notes {
-        eprintln!("{note}");
+        say!("{note}");
     }
 
-    let stop = Arc::new(AtomicBool::new(false));
-    let stopper = Arc::clone(&stop);
-    ctrlc::set_handler(move || stopper.store(true, Ordering::Relaxed))?;
+    let stop = Stop::listen()?;
     let every = trainer.settings().checkpoint_every;
     let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
-    while !trainer.is_done() && !stop.load(Ordering::Relaxed) {
+    while !trainer.is_done() && !stop.is_asked() {
         let started = Instant::now();
         let step = trainer.step();
         seconds += started.elapsed().as_secs_f64();
@@ -160,20 +167,29 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
                 // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
                 let is_whole = matches!(error, TrainError::NotFinite { .. });
                 if is_whole && let Err(problem) = outputs::save(&trainer, &checkpoint, seconds) {
-                    eprintln!("the checkpoint cannot be saved: {}", with_causes(&*problem));
+                    say!("the checkpoint cannot be saved: {}", with_causes(&*problem));
                 }
                 return Err(error.into());
             }
         };
         progress.show(&report);
-        if every > 0 && report.iteration.is_multiple_of(every) && !trainer.is_done() {
-            outputs::save(&trainer, &checkpoint, seconds)?;
+        if every > 0
+            && report.iteration.is_multiple_of(every)
+            && !trainer.is_done()
+            && let Err(problem) = outputs::save(&trainer, &checkpoint, seconds)
+        {
+            let problem = with_causes(&*problem);
+            say!(
+                "warning: no checkpoint after iteration {}: {problem}; training goes on, and tries again",
+                report.iteration
+            );
         }
     }
     progress.finish();
     outputs::save(&trainer, &checkpoint, seconds)?;
+    stop.saved();
     if !trainer.is_done() {
-        eprintln!(
+        say!(
             "stopped after iteration {}; the same command with --resume --out {} and no settings goes on",
             trainer.iteration(),
             out.display()
@@ -181,9 +197,10 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
         return Ok(ExitCode::from(INTERRUPTED));
     }
     let evaluation = outputs::write_all(&trainer, &out)?;
-    outputs::write_metrics(&out.join("metrics.json"), &evaluation, &config, seconds)?;
-    eprintln!("{}", outputs::summary(&evaluation));
-    eprintln!("{seconds:.0} s of training; results in {}", out.display());
+    let metrics = outputs::metrics(&evaluation, trainer.run(), config.run.backend, seconds);
+    io::write_json(&out.join("metrics.json"), &metrics)?;
+    say!("{}", outputs::summary(&evaluation));
+    say!("{seconds:.0} s of training; results in {}", out.display());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -311,9 +328,11 @@ impl Progress {
             let done = (report.iteration - self.from) as f64;
             let left = self.started.elapsed().as_secs_f64() / done
                 * (self.iterations - report.iteration) as f64;
-            eprintln!(
+            say!(
                 "{}/{} {text} · mean PSNR {:.1} dB · {left:.0} s left",
-                report.iteration, self.iterations, self.psnr
+                report.iteration,
+                self.iterations,
+                self.psnr
             );
         }
         self.bar.set_message(text);

@@ -1,0 +1,71 @@
+//! One run at a time in a folder.
+
+use crate::failure::Failure;
+use crate::say::say;
+use std::fs::{File, TryLockError};
+use std::path::{Path, PathBuf};
+
+const LOCK_FILE: &str = ".lock";
+
+/// A folder that no other run writes to; free again when this goes, or the program ends, however it does.
+#[derive(Debug)]
+pub(crate) struct Lock {
+    _file: File,
+}
+
+impl Lock {
+    /// Takes a folder, which must be there, and removes what a run that was killed left half written in it.
+    pub(crate) fn of(folder: &Path) -> Result<Self, Failure> {
+        let path = folder.join(LOCK_FILE);
+        let file = File::options()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(&path);
+        let file = file.map_err(|e| format!("{e}: {}", path.display()))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(format!(
+                    "another run is writing to {}; wait for it, or choose another folder with --out",
+                    folder.display()
+                )
+                .into());
+            }
+            // Some file systems have no locks.
+            Err(TryLockError::Error(e)) => {
+                say!(
+                    "note: {e}: {}: two runs into this folder would go unnoticed",
+                    path.display()
+                );
+            }
+        }
+        for name in [
+            "",
+            "checkpoint",
+            "renders/test",
+            "renders/train",
+            "renders/blurred",
+            "renders",
+        ] {
+            for leftover in leftovers(&folder.join(name)) {
+                // What cannot be removed is only untidy.
+                std::fs::remove_file(leftover).ok();
+            }
+        }
+        Ok(Self { _file: file })
+    }
+}
+
+/// Files that `io::write_atomic` had not finished: `.NAME.PID.tmp`.
+fn leftovers(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).filter(|path| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        let inner = name.and_then(|name| name.strip_prefix('.')?.strip_suffix(".tmp"));
+        inner.is_some_and(|inner| {
+            let id = inner.rsplit('.').next().unwrap_or_default();
+            inner.contains('.') && !id.is_empty() && id.bytes().all(|b| b.is_ascii_digit())
+        })
+    })
+}

@@ -1,0 +1,145 @@
+//! The program as a user meets it: what it says, with which exit code, and what is left when something is in its way.
+
+use std::error::Error;
+use std::fs;
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Child, ChildStderr, Command, Output, Stdio};
+use std::time::Duration;
+
+type Outcome = Result<(), Box<dyn Error>>;
+
+fn limpid(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_limpid"));
+    command.args(args);
+    command
+}
+
+fn output(args: &[&str]) -> Result<Output, Box<dyn Error>> {
+    Ok(limpid(args).output()?)
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn path(path: &Path) -> &str {
+    path.to_str().expect("a path in UTF-8")
+}
+
+/// The demo at 32x18 into a folder, the shortest run there is, with its standard error to be read.
+fn start(out: &Path, more: &[&str]) -> Result<(Child, BufReader<ChildStderr>), Box<dyn Error>> {
+    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+    let short = [
+        "--downscale",
+        "5",
+        "--iterations",
+        "200",
+        "--blur",
+        "camera",
+    ];
+    let mut command = limpid(&["train", "--scene", demo, "--out", path(out)]);
+    command.args(short).args(more).stderr(Stdio::piped());
+    let mut child = command.spawn()?;
+    let lines = BufReader::new(child.stderr.take().ok_or("it is piped")?);
+    Ok((child, lines))
+}
+
+/// Waits until a run has written its configuration: from then on it trains.
+fn wait_for(file: &Path) -> Outcome {
+    for _ in 0..6000 {
+        if file.exists() {
+            return Ok(());
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    Err(format!("{} did not come", file.display()).into())
+}
+
+#[test]
+fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    let (mut first, lines) = start(&out, &[])?;
+    // As with `limpid train 2>&1 | head`: what is said from now on, nobody reads.
+    drop(lines);
+    wait_for(&out.join("config.json"))?;
+    let (second, lines) = start(&out, &["--force"])?;
+    let refused = second.wait_with_output()?;
+    let said: Vec<String> = lines.lines().collect::<Result<_, _>>()?;
+    assert!(!refused.status.success());
+    assert!(
+        said.iter()
+            .any(|line| line.contains("another run is writing")),
+        "{said:?}"
+    );
+    assert!(first.wait()?.success(), "nobody read what it said");
+    assert!(out.join("metrics.json").exists());
+
+    // Going on with a finished run scores it again, and takes away what a killed one had not finished.
+    let leftovers = [
+        out.join(".scene.ply.4711.tmp"),
+        out.join("checkpoint/.a.b.12.tmp"),
+    ];
+    let others = [out.join(".hidden"), out.join("my.12.tmp")];
+    for file in leftovers.iter().chain(&others) {
+        fs::write(file, "half")?;
+    }
+    let resumed = output(&["train", "--resume", "--out", path(&out)])?;
+    assert!(resumed.status.success(), "{}", text(&resumed.stderr));
+    assert!(leftovers.iter().all(|file| !file.exists()), "removed");
+    assert!(others.iter().all(|file| file.exists()), "not ours");
+
+    // What a run was trained with is in its checkpoint; a file that says something else is no account of it.
+    let config = fs::read_to_string(out.join("config.json"))?;
+    let mut edited: serde_json::Value = serde_json::from_str(&config)?;
+    edited["settings"]["blur"]["kernel_size"] = 5.into();
+    fs::write(out.join("config.json"), edited.to_string())?;
+    let refused = output(&["train", "--resume", "--out", path(&out)])?;
+    assert!(!refused.status.success());
+    let said = text(&refused.stderr);
+    assert!(
+        said.contains("`blur.kernel_size` is 5 here and 9"),
+        "{said}"
+    );
+    fs::write(out.join("config.json"), config)?;
+
+    let scores = output(&["eval", path(&out)])?;
+    assert!(scores.status.success(), "{}", text(&scores.stderr));
+    assert!(text(&scores.stdout).contains("test views: PSNR"));
+    let scores = output(&["eval", path(&out), "--json"])?;
+    let json: serde_json::Value = serde_json::from_slice(&scores.stdout)?;
+    assert!(json["test"]["psnr"].as_f64() > Some(10.0), "{json}");
+
+    for time in ["-1", "1000", "NaN"] {
+        for flag in ["--ply-at", "--at"] {
+            let refused = output(&["render", path(&out), flag, time])?;
+            let said = text(&refused.stderr);
+            assert!(!refused.status.success(), "{flag} {time}");
+            assert!(said.contains(flag) && said.contains("from 0 to"), "{said}");
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn a_checkpoint_that_cannot_be_written_is_a_warning_until_the_end() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    let (mut run, lines) = start(&out, &["--set", "checkpoint_every=20"])?;
+    wait_for(&out.join("config.json"))?;
+    // A file where the folder of checkpoints should be.
+    let obstacle = out.join("checkpoint");
+    fs::write(&obstacle, "")?;
+    let mut warned = false;
+    for line in lines.lines() {
+        if line?.contains("warning: no checkpoint after iteration") && !warned {
+            warned = true;
+            fs::remove_file(&obstacle)?;
+        }
+    }
+    assert!(warned, "it said so");
+    assert!(run.wait()?.success(), "the last one could be written");
+    assert!(obstacle.is_dir() && out.join("metrics.json").exists());
+    Ok(())
+}
