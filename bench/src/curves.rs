@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use crate::workload::on_device;
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 use trainer::settings::BlurKind;
 use trainer::{Device, Settings, Trainer};
+
+use crate::workload::on_device;
 
 /// Iterations after which scores are taken.
 const SCORED: [usize; 3] = [100, 200, 300];

@@ -208,13 +208,7 @@ mod tests {
 
     #[test]
     fn the_stages_are_those_that_an_iteration_enters() {
-        for blur in [
-            Blur::Off,
-            Blur::Trained,
-            Blur::Frozen,
-            Blur::Half,
-            Blur::Camera,
-        ] {
+        for blur in Blur::ALL {
             let workload = Workload {
                 width: 32,
                 height: 24,

@@ -282,13 +282,7 @@ fn all(arguments: &Arguments) -> Result<(), Failure> {
         &[(256, 144, 20_000), (512, 288, 100_000)]
     };
     for &(width, height, gaussians) in sizes {
-        for blur in [
-            Blur::Off,
-            Blur::Trained,
-            Blur::Frozen,
-            Blur::Half,
-            Blur::Camera,
-        ] {
+        for blur in Blur::ALL {
             let workload = Workload {
                 width,
                 height,

@@ -30,6 +30,15 @@ pub enum Blur {
 }
 
 impl Blur {
+    /// In the order of the tables.
+    pub const ALL: [Self; 5] = [
+        Self::Off,
+        Self::Trained,
+        Self::Frozen,
+        Self::Half,
+        Self::Camera,
+    ];
+
     /// As it is called in tables.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -7,10 +7,10 @@ pub mod tiny;
 
 pub use gradcheck::{GradLimits, GradReport, check_gradients, directional_report};
 pub use property::{property, uniform};
+pub use trainer::with_causes;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use std::collections::BTreeSet;
-use std::error::Error;
 use std::io::Write as _;
 use std::sync::{Mutex, PoisonError};
 
@@ -200,16 +200,6 @@ pub fn assert_close(what: &str, found: &[f64], expected: &[f64], tolerance: f64)
             "{what}: {f} instead of {e} at {k}, off by {error:e} of {largest:e}"
         );
     }
-}
-
-/// An error and what caused it.
-#[must_use]
-pub fn with_causes(error: &dyn Error) -> String {
-    let causes = std::iter::successors(Some(error), |&e| e.source());
-    causes
-        .map(ToString::to_string)
-        .collect::<Vec<_>>()
-        .join(": ")
 }
 
 /// Runs `f` where rayon has so many threads.

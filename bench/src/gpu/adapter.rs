@@ -1,4 +1,4 @@
-//! What was run on, and when.
+//! What was run on.
 
 use std::path::Path;
 use std::process::Command;

@@ -8,6 +8,7 @@ use burn::tensor::{DType, Device, Gradients, Tensor, TensorData};
 use glam::DAffine3;
 use serde::Serialize;
 use splat_core::{Exposure, Extra, Splats, Transfer, Viewpoint, expose, pose_rows, render};
+use trainer::with_causes;
 
 use crate::workload::{SAMPLES, Workload};
 
@@ -60,17 +61,6 @@ impl<T> Outcome<T> {
             }
         }
     }
-}
-
-/// An error's text and those of its causes.
-fn with_causes(error: &dyn Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text = format!("{text}: {error}");
-        cause = error.source();
-    }
-    text
 }
 
 /// Times something `repeats` times after two: the first compiles kernels, the second finds buffers. What comes out of the first

@@ -225,9 +225,9 @@ impl BpNet {
         inputs: &BlurInputs,
         extractor: Extractor,
     ) -> Result<BlurField, BpNetError> {
-        self.check_inputs(frame, inputs)?;
+        let whole = self.check_inputs(frame, inputs)?;
         self.check_finite(inputs)?;
-        self.forward_trusted(frame, inputs, extractor)
+        Ok(self.field(frame, inputs, extractor, whole))
     }
 
     /// As [`Self::forward`], but trusts that inputs and parameters are finite: what is not gives a field that is not, or wrong.
@@ -242,6 +242,17 @@ impl BpNet {
         extractor: Extractor,
     ) -> Result<BlurField, BpNetError> {
         let whole = self.check_inputs(frame, inputs)?;
+        Ok(self.field(frame, inputs, extractor, whole))
+    }
+
+    /// The field of a picture of the height and width `whole`; inputs fit.
+    fn field(
+        &self,
+        frame: usize,
+        inputs: &BlurInputs,
+        extractor: Extractor,
+        whole: [usize; 2],
+    ) -> BlurField {
         let [height, width] = whole.map(|side| side.div_ceil(self.downscale));
         let column = |map: &Tensor<2>| constant(map.clone()).unsqueeze_dim::<3>(2);
         let scene = Tensor::cat(
@@ -293,11 +304,11 @@ impl BpNet {
             shortcut: self.shortcut,
         };
         let field = predict(predictor, size);
-        Ok(BlurField::from_values(if self.downscale == 1 {
+        BlurField::from_values(if self.downscale == 1 {
             field
         } else {
             upsample(field, whole)
-        }))
+        })
     }
 
     fn check_inputs(&self, frame: usize, inputs: &BlurInputs) -> Result<[usize; 2], BpNetError> {

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -39,6 +39,18 @@ pub fn write_atomic(
         // The first error is the one to report; a leftover is only untidy.
         fs::remove_file(&temporary).ok();
         IoError::access(path, source)
+    })
+}
+
+/// Files in a folder that [`write_atomic`] had begun when its program was killed: `.NAME.PID.tmp`. None where the folder cannot be
+/// read.
+pub fn unfinished(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).filter(|path| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        let inner = name.and_then(|name| name.strip_prefix('.')?.strip_suffix(".tmp"));
+        let id = inner.and_then(|inner| Some(inner.rsplit_once('.')?.1));
+        id.is_some_and(|id| !id.is_empty() && id.bytes().all(|b| b.is_ascii_digit()))
     })
 }
 

@@ -3,7 +3,7 @@
 use crate::failure::Failure;
 use crate::say::say;
 use std::fs::{File, TryLockError};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const LOCK_FILE: &str = ".lock";
 
@@ -48,24 +48,11 @@ impl Lock {
             "renders/blurred",
             "renders",
         ] {
-            for leftover in leftovers(&folder.join(name)) {
+            for leftover in io::unfinished(&folder.join(name)) {
                 // What cannot be removed is only untidy.
                 std::fs::remove_file(leftover).ok();
             }
         }
         Ok(Self { _file: file })
     }
-}
-
-/// Files that `io::write_atomic` had not finished: `.NAME.PID.tmp`.
-fn leftovers(folder: &Path) -> impl Iterator<Item = PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    entries.map(|entry| entry.path()).filter(|path| {
-        let name = path.file_name().and_then(|name| name.to_str());
-        let inner = name.and_then(|name| name.strip_prefix('.')?.strip_suffix(".tmp"));
-        inner.is_some_and(|inner| {
-            let id = inner.rsplit('.').next().unwrap_or_default();
-            inner.contains('.') && !id.is_empty() && id.bytes().all(|b| b.is_ascii_digit())
-        })
-    })
 }

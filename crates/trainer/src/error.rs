@@ -1,6 +1,17 @@
 //! What can go wrong while training.
 
+use std::error::Error;
 use std::path::PathBuf;
+
+/// An error and what caused it, on one line.
+#[must_use]
+pub fn with_causes(error: &dyn Error) -> String {
+    let causes = std::iter::successors(Some(error), |&e| e.source());
+    causes
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join(": ")
+}
 
 /// An error of the trainer, with what to do about it. Causes are its `source`, and not in its text.
 #[derive(Debug, thiserror::Error)]

@@ -82,7 +82,7 @@ pub use blur::{
 pub use burn::tensor::Device;
 pub use checkpoint::FILE_NAME as CHECKPOINT_FILE;
 pub use corrections::{Corrections, FrameCorrection};
-pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError};
+pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError, with_causes};
 pub use glam;
 pub use gpu::{Gpu, MemoryUse, NoGpu};
 pub use model::Model;
