@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use host::read;
 
-use crate::motion::{RIGID, moved, shift_in_image, turns};
+use crate::motion::{RIGID, moved, shift_in_image};
 use crate::samples::Sample;
 use crate::taken::Taken;
 
@@ -92,6 +92,12 @@ impl Capture {
     /// lengths (x, y): [N, 2].
     #[must_use]
     pub fn mean_shifts(&self) -> Tensor<2> {
+        shift_in_image(self.mean_motions())
+    }
+
+    /// The mean of a frame's motion over its exposure, [N, 6]: a turn (rad) and a translation (scene sizes).
+    #[must_use]
+    pub fn mean_motions(&self) -> Tensor<2> {
         let (num_frames, degree) = (self.paths.dims()[0], self.degree());
         let options = (&self.paths.device(), self.paths.dtype());
         // The mean of s^k from -1/2 to 1/2.
@@ -105,14 +111,14 @@ impl Capture {
         let powers: Vec<f64> = (1..=degree).map(|k| mean_power(k as i32)).collect();
         let powers = Tensor::<3>::from_data(TensorData::new(powers, [1, degree, 1]), options);
         let paths = self.paths.clone().reshape([num_frames, degree, RIGID]);
-        shift_in_image((paths * powers).sum_dim(1).reshape([num_frames, RIGID]))
+        (paths * powers).sum_dim(1).reshape([num_frames, RIGID])
     }
 
-    /// Bends the paths by turns, so that [`Self::mean_shifts`] grow by `shifts`; the middle of the exposure stays where it is.
+    /// Bends the paths, so that [`Self::mean_motions`] grow by `motions`; the middle of the exposure stays where it is.
     ///
     /// # Panics
-    /// Paths are straight (of degree 1), or `shifts` are not [N, 2].
-    pub fn bend(&mut self, shifts: Tensor<2>) {
+    /// Paths are straight (of degree 1), or `motions` are not [N, 6].
+    pub fn bend(&mut self, motions: Tensor<2>) {
         let degree = self.degree();
         assert!(degree > 1, "a straight path has no mean but its middle");
         let num_frames = self.paths.dims()[0];
@@ -122,7 +128,7 @@ impl Capture {
             .collect();
         let options = (&self.paths.device(), self.paths.dtype());
         let powers = Tensor::<3>::from_data(TensorData::new(powers, [1, degree, 1]), options);
-        let bends = turns(shifts).reshape([num_frames, 1, RIGID]) * powers;
+        let bends = motions.reshape([num_frames, 1, RIGID]) * powers;
         self.paths = self.paths.clone() + bends.reshape([num_frames, RIGID * degree]);
     }
 
@@ -156,7 +162,7 @@ impl Capture {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::samples;
+    use crate::{samples, turns};
 
     const SIZE: f64 = 3.0;
 
@@ -317,7 +323,7 @@ mod tests {
 
             let by = [3e-4, -1e-4, -2e-4, 5e-4];
             let speeds = values(&capture.paths.clone().narrow(1, 0, RIGID));
-            capture.bend(tensor(by.to_vec(), [2, 2]));
+            capture.bend(turns(tensor(by.to_vec(), [2, 2])));
             let after = values(&capture.mean_shifts());
             for ((after, before), by) in after.iter().zip(&before).zip(by) {
                 assert!((after - before - by).abs() < 1e-15, "{degree}");
@@ -325,7 +331,15 @@ mod tests {
             let [x, y] = mean_place(&capture);
             assert!((after[2] - x).abs() < 1e-6, "{degree}: {} {x}", after[2]);
             assert!((after[3] - y).abs() < 1e-6, "{degree}: {} {y}", after[3]);
-            assert_eq!(values(&capture.paths.narrow(1, 0, RIGID)), speeds);
+            assert_eq!(values(&capture.paths.clone().narrow(1, 0, RIGID)), speeds);
+
+            let before = values(&capture.mean_motions());
+            let by: Vec<f64> = (0..12).map(|k| 1e-3 * f64::from(k - 5)).collect();
+            capture.bend(tensor(by.clone(), [2, RIGID]));
+            let after = values(&capture.mean_motions());
+            for ((after, before), by) in after.iter().zip(&before).zip(by) {
+                assert!((after - before - by).abs() < 1e-15, "{degree}");
+            }
         }
     }
 

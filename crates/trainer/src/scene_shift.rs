@@ -33,18 +33,39 @@ impl SceneShift {
 
     /// What of the frames' shifts [N, 2] is the scene's, by least squares over those that count (1 of [N, 1]); 0 in others.
     pub(crate) fn common(&self, shifts: Tensor<2>, counted: Tensor<2>) -> Tensor<2> {
-        let number = counted.clone().sum_dim(0).clamp_min(1.0);
-        let centered = |values: Tensor<2>| {
-            let mean = (values.clone() * counted.clone()).sum_dim(0) / number.clone();
-            ((values - mean.clone()) * counted.clone(), mean)
-        };
-        let (places, _) = centered(self.places.clone());
-        let (rest, mean) = centered(shifts);
+        let (places, _) = centered(self.places.clone(), &counted);
+        let (rest, mean) = centered(shifts, &counted);
         let total = |values: Tensor<2>| values.sum_dim(0).sum_dim(1);
         let disparity =
-            total(rest * places.clone()) / total(places.clone().square()).clamp_min(1e-12);
+            total(rest * places.clone()) / total(places.clone().square()).clamp_min(LEAST);
         places * disparity + mean * counted
     }
+
+    /// What of any numbers of the frames [N, C] is the same in all, or in proportion to where their cameras stand, right or down;
+    /// counted as in [`Self::common`]. A scene that tilts, turns or grows with the camera's place looks like that.
+    pub(crate) fn trend(&self, values: Tensor<2>, counted: Tensor<2>) -> Tensor<2> {
+        let (places, _) = centered(self.places.clone(), &counted);
+        let (right, down) = (places.clone().narrow(1, 0, 1), places.narrow(1, 1, 1));
+        let down = down.clone() - along(&down, &right);
+        let (rest, mean) = centered(values, &counted);
+        along(&rest, &right) + along(&rest, &down) + mean * counted
+    }
+}
+
+/// Below it a sum of squares is none.
+const LEAST: f64 = 1e-12;
+
+/// Values of the frames [N, C] less their mean over those that count, 0 in others; and that mean [1, C].
+fn centered(values: Tensor<2>, counted: &Tensor<2>) -> (Tensor<2>, Tensor<2>) {
+    let number = counted.clone().sum_dim(0).clamp_min(1.0);
+    let mean = (values.clone() * counted.clone()).sum_dim(0) / number;
+    ((values - mean.clone()) * counted.clone(), mean)
+}
+
+/// The part of `values` [N, C] that goes with `basis` [N, 1].
+fn along(values: &Tensor<2>, basis: &Tensor<2>) -> Tensor<2> {
+    let total = (values.clone() * basis.clone()).sum_dim(0);
+    basis.clone() * (total / basis.clone().square().sum_dim(0).clamp_min(LEAST))
 }
 
 #[cfg(test)]
@@ -131,7 +152,48 @@ mod tests {
         assert_eq!(before[8..10], [0.0, 0.0]);
         shifts[8] = 100.0;
         assert_eq!(common(&shifts), before);
-        let none = scene_shift.common(tensor(shifts, 2), tensor(vec![0.0; 9], 1));
+        let none = scene_shift.common(tensor(shifts.clone(), 2), tensor(vec![0.0; 9], 1));
         assert_eq!(values(none), vec![0.0; 18]);
+
+        let trend = |shifts: &[f64]| {
+            values(scene_shift.trend(tensor(shifts.to_vec(), 2), tensor(counted.clone(), 1)))
+        };
+        let before = trend(&shifts);
+        assert_eq!(before[8..10], [0.0, 0.0]);
+        shifts[9] = -100.0;
+        assert_eq!(trend(&shifts), before);
+        let none = scene_shift.trend(tensor(shifts, 2), tensor(vec![0.0; 9], 1));
+        assert_eq!(values(none), vec![0.0; 18]);
+    }
+
+    #[test]
+    fn a_trend_is_all_that_goes_with_the_cameras_place_and_nothing_is_left_of_it() {
+        let views = views();
+        let scene_shift = SceneShift::of(&views, options_of(&Device::flex()));
+        let every = || tensor(vec![1.0; views.len()], 1);
+        let centers: Vec<DVec3> = views
+            .iter()
+            .map(|v| camera_center(&v.cam_from_world))
+            .collect();
+        let mean = centers.iter().sum::<DVec3>() / views.len() as f64;
+        // Three numbers a frame: each a number for all, and so much for each unit right and down.
+        let numbers = views.iter().zip(&centers).flat_map(|(view, center)| {
+            let aside = view.cam_from_world.transform_vector3(center - mean);
+            [[0.3, 0.01, -0.02], [-2.0, 0.0, 0.5], [0.0, 1e-4, 0.0]]
+                .map(|[all, right, down]| all + right * aside.x + down * aside.y)
+        });
+        let numbers = tensor(numbers.collect(), 3);
+        let trend = scene_shift.trend(numbers.clone(), every());
+        for rest in values(numbers - trend) {
+            assert!(rest.abs() < 1e-12, "{rest}");
+        }
+
+        let any: Vec<f64> = (0..27).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
+        let any = tensor(any, 3);
+        let rest = any.clone() - scene_shift.trend(any, every());
+        assert!(values(rest.clone()).iter().any(|rest| rest.abs() > 0.1));
+        for value in values(scene_shift.trend(rest, every())) {
+            assert!(value.abs() < 1e-12, "{value}");
+        }
     }
 }

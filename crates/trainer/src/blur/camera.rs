@@ -17,7 +17,7 @@ use crate::tensors::{constant, host, leaf};
 use crate::views::{Views, pose_tensor, poses_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for};
+use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for, turns};
 use glam::DAffine3;
 use splat_core::{Exposed, Exposure, Movers, Splats, expose};
 use tracing::trace_span;
@@ -258,8 +258,9 @@ impl CameraBlur {
         times.zip(poses_of(poses)).collect()
     }
 
-    /// Takes out of the paths' means what all frames have in common, which is the scene's. (A path that a trial left out stays
-    /// out.)
+    /// Takes out of the paths' means what all frames have in common, which is the scene's: of the shifts in the image what a scene
+    /// that lies elsewhere shows, and of the turns about the optical axis and of the translations all that goes with the camera's
+    /// place. (A path that a trial left out stays out.)
     pub(super) fn hold(&mut self, it: usize) {
         if !self.settings.path || self.settings.path_degree < 2 || !self.is_on(it) {
             return;
@@ -276,8 +277,13 @@ impl CameraBlur {
             .greater_scalar(0.0)
             .float()
             .cast(held.paths.dtype());
+        let options = (&held.paths.device(), held.paths.dtype());
+        // Turns about x and y shift the image: those are held with the shifts, below.
+        let others = Tensor::<2>::from_data([[0.0, 0.0, 1.0, 1.0, 1.0, 1.0]], options);
+        let trend = self.scene_shift.trend(held.mean_motions(), moving.clone());
+        held.bend(-trend * others);
         let common = self.scene_shift.common(held.mean_shifts(), moving);
-        held.bend(-common);
+        held.bend(turns(-common));
         self.capture.paths = leaf(held.paths, true);
     }
 
