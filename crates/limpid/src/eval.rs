@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::failure::Failure;
 use crate::outputs;
 use crate::render;
-use std::io::{ErrorKind, Write as _};
+use crate::say::print;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use trainer::ColorMap;
@@ -67,12 +67,4 @@ pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
         io::write_json(path, &metrics)?;
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Prints what the program was called for. A reader who has seen enough is no error.
-fn print(text: &str) -> Result<(), Failure> {
-    match writeln!(std::io::stdout().lock(), "{text}") {
-        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(format!("{e}: standard output").into()),
-        Ok(()) | Err(_) => Ok(()),
-    }
 }

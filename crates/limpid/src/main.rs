@@ -1,5 +1,6 @@
 //! The `limpid` program: trains, renders and scores.
 
+mod check;
 mod config;
 mod devices;
 mod eval;
@@ -38,6 +39,8 @@ enum Command {
     Render(render::RenderArguments),
     /// Score a trained scene on its test views.
     Eval(eval::EvalArguments),
+    /// Look whether a scene's files fit each other: exit code 0, 1 (doubtful) or 2 (wrong).
+    Check(check::CheckArguments),
     /// List what tensors can live on, and whether a scene fits.
     Devices(devices::DevicesArguments),
 }
@@ -47,6 +50,7 @@ fn main() -> ExitCode {
         Command::Train(arguments) => train::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Check(arguments) => check::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
     };
     match result {

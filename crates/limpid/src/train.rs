@@ -1,5 +1,6 @@
 //! `limpid train`.
 
+use crate::check;
 use crate::config::{self, Backend, CONFIG_FILE, Config};
 use crate::failure::{Failure, with_causes};
 use crate::lock::Lock;
@@ -54,7 +55,7 @@ pub(crate) struct TrainArguments {
     /// Go on from the checkpoint in the results' folder.
     #[arg(long)]
     resume: bool,
-    /// Replace the results of an earlier run.
+    /// Replace the results of an earlier run, and train on files that cannot be right (see `limpid check`).
     #[arg(long, conflicts_with = "resume")]
     force: bool,
     /// Set any setting, for example `--set blur.kernel_size=7`.
@@ -136,6 +137,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
         for note in &scene.notes {
             say!("note: {note}");
         }
+        check::before_training(&scene, arguments.force)?;
         let trainer = Trainer::new(scene, asked.settings.clone(), &device)?;
         std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
         let lock = match early {

@@ -1,8 +1,8 @@
 //! How much the frames of a video differ in brightness: auto-exposure shows before anything is trained.
 
+use crate::correspondence::seen_in;
 use crate::statistics::median;
-use crate::views::pixel_of;
-use glam::DVec2;
+use crate::views::pixel_index;
 use io::Frame;
 
 /// The same things are seen equally bright in the frames of a video of fixed exposure, but for less than this (median of the
@@ -40,28 +40,24 @@ fn pair_change(a: &Frame, b: &Frame) -> Option<f64> {
     let b_from_a = b.view.cam_from_world * a.view.cam_from_world.inverse();
     let still = |frame: &Frame, i: usize| frame.mask.as_ref().is_none_or(|m| m.values[i] < 0.5);
     let (mut count, mut sums) = (0, [0.0; 2]);
-    for y in (0..depth.height).step_by(STEP) {
-        for x in (0..depth.width).step_by(STEP) {
-            let i = y * depth.width + x;
-            let z = f64::from(depth.values[i]);
-            if z <= 0.0 || !still(a, i) {
-                continue;
-            }
-            let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let seen = b_from_a.transform_point3(a.view.camera.unproject(pixel, z));
-            let Some(j) = pixel_of(&b.view.camera, seen) else {
-                continue;
-            };
-            let hidden = (f64::from(other.values[j]) / seen.z - 1.0).abs() > HIDDEN;
-            let colors = [(a, i), (b, j)].map(|(f, k)| &f.view.image.pixels[3 * k..3 * k + 3]);
-            let cut = colors.iter().any(|c| c.iter().any(|v| *v > SATURATED));
-            if hidden || cut || !still(b, j) {
-                continue;
-            }
-            count += 1;
-            for (sum, color) in sums.iter_mut().zip(colors) {
-                *sum += color.iter().copied().map(f64::from).sum::<f64>();
-            }
+    let known = |i: usize| {
+        if still(a, i) {
+            f64::from(depth.values[i])
+        } else {
+            0.0
+        }
+    };
+    for seen in seen_in(&a.view.camera, known, &b.view.camera, b_from_a, STEP) {
+        let (i, j) = (seen.pixel, pixel_index(&b.view.camera, seen.at));
+        let hidden = (f64::from(other.values[j]) / seen.depth - 1.0).abs() > HIDDEN;
+        let colors = [(a, i), (b, j)].map(|(f, k)| &f.view.image.pixels[3 * k..3 * k + 3]);
+        let cut = colors.iter().any(|c| c.iter().any(|v| *v > SATURATED));
+        if hidden || cut || !still(b, j) {
+            continue;
+        }
+        count += 1;
+        for (sum, color) in sums.iter_mut().zip(colors) {
+            *sum += color.iter().copied().map(f64::from).sum::<f64>();
         }
     }
     let [before, after] = sums;

@@ -156,6 +156,21 @@ pub enum SceneProblem {
     /// No pixel is fit for a Gaussian.
     #[error("no Gaussian can be placed: all pixels are masked, on depth edges, or without depth")]
     NothingToPlace,
+    /// Movers cannot be lifted.
+    #[error(
+        "there are masks and tracks of movers and no depth to lift them by (none is there, or none is over zero); \
+         add depth maps, or ask for a static scene (--static), which ignores masks and tracks"
+    )]
+    MoversWithoutDepth,
+    /// Movers' tracks lie where none can be lifted.
+    #[error(
+        "no track of a mover can be lifted: {found}; mend the tracks, the masks or the depth (`limpid check` looks at them), \
+         or ask for a static scene (--static), which ignores masks and tracks"
+    )]
+    TracksNotLifted {
+        /// How many of their positions are visible, in the picture, on a mask, and with depth.
+        found: crate::lifting::Liftable,
+    },
     /// An unseen view cannot be warped.
     #[error("unseen view {name}")]
     UnseenView {

@@ -21,12 +21,14 @@
 //! ```
 
 pub mod adam;
+pub mod check;
 pub mod density;
 pub mod losses;
 pub mod metrics;
 pub mod schedule;
 pub mod settings;
 
+mod alignment;
 #[cfg_attr(
     feature = "ndarray",
     allow(deprecated, reason = "kept as a second, independent CPU backend")
@@ -36,6 +38,7 @@ mod blur;
 mod brightness;
 mod checkpoint;
 mod corrections;
+mod correspondence;
 mod cpu;
 #[cfg(feature = "cube")]
 mod cube;
@@ -85,6 +88,7 @@ pub use corrections::{Corrections, FrameCorrection};
 pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError, with_causes};
 pub use glam;
 pub use gpu::{Gpu, MemoryUse, NoGpu};
+pub use lifting::Liftable;
 pub use model::Model;
 pub use parameter::{Group, Parameter, Rows};
 pub use run::{Run, TrainingView};

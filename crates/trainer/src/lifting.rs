@@ -2,7 +2,7 @@
 
 use crate::random::{Purpose, generator, sample};
 use glam::{DVec2, DVec3};
-use io::{Frame, Map, QueryTracks, Scene};
+use io::{Frame, Map, QueryTracks, Scene, TrackSample};
 use motion_bases::Tracks3d;
 
 /// Lifts at most `max_tracks` tracks, the same number from each query frame.
@@ -46,8 +46,7 @@ pub(crate) fn lift_tracks(scene: &Scene, max_tracks: usize, seed: u64) -> Tracks
             if seen < least {
                 continue;
             }
-            let at = &query.samples[row * n + query.frame];
-            let pixel = DVec2::new(f64::from(at.x), f64::from(at.y));
+            let pixel = position(&query.samples[row * n + query.frame]);
             out.positions.extend(track.positions);
             out.visible.extend(track.visible);
             out.confidence.extend(track.confidence);
@@ -56,6 +55,75 @@ pub(crate) fn lift_tracks(scene: &Scene, max_tracks: usize, seed: u64) -> Tracks
     }
     out
 }
+
+/// What of all tracks' positions can be lifted; each number is a part of the one before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Liftable {
+    /// Positions that the tracker is sure of.
+    pub visible: usize,
+    /// That lie in the picture.
+    pub inside: usize,
+    /// That lie on a mask.
+    pub on_mask: usize,
+    /// That have depth all around.
+    pub with_depth: usize,
+}
+
+impl std::fmt::Display for Liftable {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "of {} visible positions {} lie in the picture, {} of these on a mask, and {} of these have depth",
+            self.visible, self.inside, self.on_mask, self.with_depth
+        )
+    }
+}
+
+/// Counts what of a scene's tracks [`lift_tracks`] can use.
+pub(crate) fn liftable(scene: &Scene) -> Liftable {
+    let mut found = Liftable::default();
+    let queries = scene.tracks.iter().flat_map(|t| &t.queries);
+    let rows = queries.flat_map(|q| q.samples.chunks_exact(scene.frames.len()));
+    for (frame, s) in rows.flat_map(|row| scene.frames.iter().zip(row)) {
+        let pixel = position(s);
+        if !is_sure(s) {
+            continue;
+        }
+        found.visible += 1;
+        let (w, h) = (frame.view.image.width, frame.view.image.height);
+        if !is_inside(w, h, pixel) {
+            continue;
+        }
+        found.inside += 1;
+        let around = |map: &Map, least: f32| {
+            let mut all = corners(w, h, pixel).into_iter();
+            all.all(|(i, weight)| weight <= LEAST_WEIGHT || map.values[i] > least)
+        };
+        if !frame.mask.as_ref().is_some_and(|m| around(m, 0.5)) {
+            continue;
+        }
+        found.on_mask += 1;
+        found.with_depth += usize::from(frame.depth.as_ref().is_some_and(|d| around(d, 0.0)));
+    }
+    found
+}
+
+/// Where a track is.
+pub(crate) fn position(sample: &TrackSample) -> DVec2 {
+    DVec2::new(f64::from(sample.x), f64::from(sample.y))
+}
+
+/// Whether the tracker says that a track is visible there, and is sure of the place.
+pub(crate) fn is_sure(sample: &TrackSample) -> bool {
+    (1.0 - sigmoid(sample.occlusion)) * (1.0 - sigmoid(sample.expected_distance)) > 0.5
+}
+
+pub(crate) fn is_inside(width: usize, height: usize, pixel: DVec2) -> bool {
+    (0.0..width as f64).contains(&pixel.x) && (0.0..height as f64).contains(&pixel.y)
+}
+
+/// Weights of a pixel's four neighbours sum to 1 only to rounding: a corner that hardly counts may lie outside.
+const LEAST_WEIGHT: f64 = 1e-4;
 
 struct Lifted {
     positions: Vec<DVec3>,
@@ -74,9 +142,9 @@ fn lift_track(scene: &Scene, query: &QueryTracks, row: usize) -> Lifted {
     for (frame, s) in scene.frames.iter().zip(samples) {
         let visible = 1.0 - sigmoid(s.occlusion);
         let confident = 1.0 - sigmoid(s.expected_distance);
-        let pixel = DVec2::new(f64::from(s.x), f64::from(s.y));
+        let pixel = position(s);
         let z = depth_inside_mask(frame, pixel);
-        let is_visible = visible * confident > 0.5 && z.is_some();
+        let is_visible = is_sure(s) && z.is_some();
         let is_invisible = (1.0 - visible) * confident > 0.5 && z.is_some();
         let z = z.unwrap_or_else(|| {
             frame
@@ -123,15 +191,12 @@ fn corners(width: usize, height: usize, pixel: DVec2) -> [(usize, f64); 4] {
 /// Bilinear depth where every pixel that counts lies in the mask and has depth.
 fn depth_inside_mask(frame: &Frame, pixel: DVec2) -> Option<f64> {
     let (depth, mask) = (frame.depth.as_ref()?, frame.mask.as_ref()?);
-    let inside = (0.0..depth.width as f64).contains(&pixel.x)
-        && (0.0..depth.height as f64).contains(&pixel.y);
-    if !inside {
+    if !is_inside(depth.width, depth.height, pixel) {
         return None;
     }
     let mut z = 0.0;
     for (i, weight) in corners(depth.width, depth.height, pixel) {
-        // Weights sum to 1 only to rounding: a corner that hardly counts may lie outside.
-        if weight > 1e-4 && (mask.values[i] <= 0.5 || depth.values[i] <= 0.0) {
+        if weight > LEAST_WEIGHT && (mask.values[i] <= 0.5 || depth.values[i] <= 0.0) {
             return None;
         }
         z += weight * f64::from(depth.values[i]);
@@ -150,7 +215,8 @@ fn nearest_depth(depth: &Map, pixel: DVec2) -> f64 {
     if z > 0.0 { z } else { 1.0 }
 }
 
-fn sample_color(frame: &Frame, pixel: DVec2) -> [f32; 3] {
+/// Bilinear colour at a place in a frame's picture.
+pub(crate) fn sample_color(frame: &Frame, pixel: DVec2) -> [f32; 3] {
     let image = &frame.view.image;
     let mut color = [0.0; 3];
     for (i, weight) in corners(image.width, image.height, pixel) {

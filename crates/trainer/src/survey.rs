@@ -1,10 +1,12 @@
 //! Looks at a scene before training: its size, its depth against the sparse points, and what there is to model.
 
+use crate::alignment::fit_to_points;
 use crate::brightness::{brightness_change, gains_differ};
 use crate::error::{SceneProblem, TrainError};
+use crate::settings::{BlurKind, Settings, When};
 use crate::sharpness::{is_blurred, sharpness_change};
 use crate::views::pixel_of;
-use io::{Frame, Map, Scene, SparsePoint};
+use io::Scene;
 use serde::{Deserialize, Serialize};
 
 /// What was found in a scene and decided from it.
@@ -30,11 +32,46 @@ pub struct Survey {
     pub notes: Vec<String>,
 }
 
+impl Survey {
+    /// What settings leave to the survey, and how it decides; for people.
+    #[must_use]
+    pub fn decided(&self, settings: &Settings) -> Vec<String> {
+        let notes = [blur_note(settings, self), gains_note(settings, self)];
+        notes.into_iter().flatten().collect()
+    }
+}
+
+/// Why blur is modelled or not, where that is left to the survey.
+fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
+    if settings.blur.model != BlurKind::Auto {
+        return None;
+    }
+    let percent = survey.sharpness_change.map(|c| 100.0 * c.exp_m1());
+    Some(match percent {
+        None => "too few frames to tell whether they are blurred: blur is modelled".to_owned(),
+        Some(percent) if survey.blurred => {
+            format!("fine contrast changes by {percent:.0} % from frame to frame: blur is modelled")
+        }
+        Some(percent) => format!(
+            "fine contrast changes by {percent:.1} % from frame to frame, as in a sharp video: no blur model \
+             (`blur.model = \"camera\"` has one all the same)"
+        ),
+    })
+}
+
+/// Why frames have gains of their own, where that is left to the survey.
+fn gains_note(settings: &Settings, survey: &Survey) -> Option<String> {
+    let percent = 100.0 * survey.brightness_change?.exp_m1();
+    (settings.frames.gains == When::Auto && survey.gains_differ).then(|| {
+        format!("frames differ in brightness by {percent:.0} %: each has a gain of its own")
+    })
+}
+
 /// Surveys a scene, and aligns the disparity of each frame to the sparse points where there are any
 /// (a robust scale and shift per frame).
 ///
 /// # Errors
-/// The scene has neither depth nor sparse points in front of its cameras.
+/// The scene has neither depth nor sparse points in front of its cameras, or movers and no depth to lift them by.
 pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
     let mut notes = Vec::new();
     for frame in &mut scene.frames {
@@ -46,28 +83,7 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
     }
     let depth = scene.frames.iter().any(|f| f.depth.is_some());
     if depth {
-        let aligned = scene
-            .frames
-            .iter_mut()
-            .filter_map(|frame| {
-                let fit = fit_to_points(frame, &scene.points)?;
-                apply_disparity_fit(frame.depth.as_mut()?, fit);
-                Some(fit)
-            })
-            .collect::<Vec<_>>();
-        if aligned.is_empty() {
-            notes.push("depth is used as it is: too few sparse points to align it to".to_owned());
-        } else {
-            let largest = aligned
-                .iter()
-                .map(|(s, _)| (s - 1.0).abs())
-                .fold(0.0, f64::max);
-            notes.push(format!(
-                "depth of {} frames aligned to the sparse points (scale changed by up to {:.1} %)",
-                aligned.len(),
-                100.0 * largest
-            ));
-        }
+        notes.extend(align_depth(scene));
     } else {
         notes.push(
             "no depth: Gaussians start at the sparse points, no depth loss, no unseen views"
@@ -96,14 +112,14 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         .tracks
         .as_ref()
         .is_some_and(|t| t.queries.iter().any(|q| !q.samples.is_empty()));
-    let movers = masked && tracked && depth;
-    notes.push(match (masked, tracked, depth) {
-        (true, true, true) => "masks and tracks show movers".to_owned(),
-        (true, true, false) => {
-            "masks and tracks are ignored: movers need depth to be lifted".to_owned()
-        }
-        (true, false, _) => "masks without tracks: the scene is modelled as static".to_owned(),
-        (false, ..) => "no movers: no motion bases".to_owned(),
+    let movers = masked && tracked;
+    if movers && !depth {
+        return Err(SceneProblem::MoversWithoutDepth.into());
+    }
+    notes.push(match (masked, tracked) {
+        (true, true) => "masks and tracks show movers".to_owned(),
+        (true, false) => "masks without tracks: the scene is modelled as static".to_owned(),
+        (false, _) => "no movers: no motion bases".to_owned(),
     });
     let sharpness_change = sharpness_change(&scene.frames);
     let brightness_change = brightness_change(&scene.frames);
@@ -118,6 +134,43 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         gains_differ: brightness_change.is_some_and(gains_differ),
         notes,
     })
+}
+
+/// Aligns the disparity of each frame to the sparse points, as far as they say something about it. Says what was done.
+fn align_depth(scene: &mut Scene) -> Vec<String> {
+    let (mut scales, mut upside_down, mut few) = (Vec::new(), 0, 0);
+    for frame in &mut scene.frames {
+        let fit = fit_to_points(frame, &scene.points);
+        match (fit, &mut frame.depth) {
+            (Some(fit), Some(depth)) if fit.is_upright() => {
+                fit.apply(depth);
+                scales.push(fit.scale);
+            }
+            (Some(_), _) => upside_down += 1,
+            (None, Some(_)) => few += 1,
+            (None, None) => (),
+        }
+    }
+    let mut notes = Vec::new();
+    scales.sort_unstable_by(f64::total_cmp);
+    if let (Some(least), Some(most)) = (scales.first(), scales.last()) {
+        notes.push(format!(
+            "depth of {} frames aligned to the sparse points (disparity times {least:.3} to {most:.3})",
+            scales.len(),
+        ));
+    }
+    if upside_down > 0 {
+        notes.push(format!(
+            "warning: depth of {upside_down} frames is used as it is: where the sparse points are near it is far, and the other \
+             way round"
+        ));
+    }
+    if few > 0 {
+        notes.push(format!(
+            "depth of {few} frames is used as it is: too few sparse points to align it to"
+        ));
+    }
+    notes
 }
 
 /// The value above a share of all, of which there is at least one. Values are reordered.
@@ -138,92 +191,4 @@ fn sparse_depths(scene: &Scene) -> Vec<f32> {
             })
         })
         .collect()
-}
-
-/// Fewer sparse points than this in a frame say too little about its depth.
-const MIN_POINTS: usize = 20;
-
-/// Points whose disparity differs by more than this share from a frame's depth are hidden there.
-const HIDDEN: f64 = 0.05;
-
-/// The sparse points that a frame sees where nothing moves: index of the pixel, and z-depth; hidden ones as well.
-fn points_in<'a>(
-    frame: &'a Frame,
-    points: &'a [SparsePoint],
-) -> impl Iterator<Item = (usize, f64)> + 'a {
-    let view = &frame.view;
-    points.iter().filter_map(move |point| {
-        let c = view.cam_from_world.transform_point3(point.position);
-        let i = pixel_of(&view.camera, c)?;
-        let moving = frame.mask.as_ref().is_some_and(|m| m.values[i] > 0.0);
-        (!moving).then_some((i, c.z))
-    })
-}
-
-/// z-depth of the sparse points in a frame, 0 where there is none, [H, W]; without those that its own depth, aligned to
-/// them, hides. `None` where there are too few.
-pub(crate) fn point_depths(frame: &Frame, points: &[SparsePoint]) -> Option<Vec<f32>> {
-    let depth = frame.depth.as_ref()?;
-    let mut map = vec![0.0; depth.values.len()];
-    for (i, z) in points_in(frame, points) {
-        let away = z / f64::from(depth.values[i]) - 1.0;
-        if away.abs() < HIDDEN {
-            map[i] = z as f32;
-        }
-    }
-    let count = map.iter().filter(|z| **z > 0.0).count();
-    (count >= MIN_POINTS).then_some(map)
-}
-
-/// Robust scale and shift of a frame's disparity against the sparse points: least absolute
-/// differences by re-weighted least squares. `None` where there are too few points.
-fn fit_to_points(frame: &Frame, points: &[SparsePoint]) -> Option<(f64, f64)> {
-    let depth = frame.depth.as_ref()?;
-    let pairs = points_in(frame, points).filter_map(|(i, point)| {
-        let z = f64::from(depth.values[i]);
-        (z > 0.0).then_some((1.0 / z, 1.0 / point))
-    });
-    let pairs: Vec<(f64, f64)> = pairs.collect();
-    if pairs.len() < MIN_POINTS {
-        return None;
-    }
-    let floor = 1e-3 * pairs.iter().map(|p| p.1).sum::<f64>() / pairs.len() as f64;
-    let (mut scale, mut shift) = (1.0, 0.0);
-    let mut weights = vec![1.0; pairs.len()];
-    for _ in 0..20 {
-        let (mut w0, mut x0, mut y0, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for ((x, y), w) in pairs.iter().zip(&weights) {
-            w0 += w;
-            x0 += w * x;
-            y0 += w * y;
-            xx += w * x * x;
-            xy += w * x * y;
-        }
-        let determinant = w0 * xx - x0 * x0;
-        if determinant <= 1e-12 * w0 * xx {
-            // All points at one depth: only a scale can be told.
-            (scale, shift) = (y0 / x0, 0.0);
-        } else {
-            scale = (w0 * xy - x0 * y0) / determinant;
-            shift = (y0 - scale * x0) / w0;
-        }
-        for (w, (x, y)) in weights.iter_mut().zip(&pairs) {
-            *w = 1.0 / (scale * x + shift - y).abs().max(floor);
-        }
-    }
-    (scale > 0.0 && scale.is_finite() && shift.is_finite()).then_some((scale, shift))
-}
-
-/// Applies a fit; where the fitted disparity is no longer positive, depth becomes missing.
-fn apply_disparity_fit(depth: &mut Map, (scale, shift): (f64, f64)) {
-    for z in &mut depth.values {
-        if *z > 0.0 {
-            let disparity = scale / f64::from(*z) + shift;
-            *z = if disparity > 1e-9 * scale {
-                (1.0 / disparity) as f32
-            } else {
-                0.0
-            };
-        }
-    }
 }

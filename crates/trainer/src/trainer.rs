@@ -1,11 +1,13 @@
 //! The trainer: a run, and the data that it learns from.
 
 use crate::TrainError;
+use crate::alignment::point_depths;
 use crate::blur::BlurModel;
 use crate::checkpoint::FILE_NAME;
 use crate::corrections::Corrections;
 use crate::dynamics::start_dynamics;
 use crate::error::{CheckpointProblem, OtherScene, SceneProblem};
+use crate::lifting::liftable;
 use crate::model::Model;
 use crate::objective::Objective;
 use crate::placement::{Seeds, place_points, place_static};
@@ -14,9 +16,9 @@ use crate::random::{Purpose, generator, permutation};
 use crate::run::Run;
 use crate::schedule::Schedule;
 use crate::scores::Evaluation;
-use crate::settings::{BlurKind, Settings, When};
+use crate::settings::Settings;
 use crate::state::State;
-use crate::survey::{Survey, point_depths, survey};
+use crate::survey::{Survey, survey};
 use crate::tensors::tensor;
 use crate::unseen::unseen_views;
 use crate::views::{UnseenView, ViewRef, Views};
@@ -72,39 +74,13 @@ impl Drop for Trainer {
     }
 }
 
-/// Why blur is modelled or not, where that is left to the survey.
-fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
-    if settings.blur.model != BlurKind::Auto {
-        return None;
-    }
-    let percent = survey.sharpness_change.map(|c| 100.0 * c.exp_m1());
-    Some(match percent {
-        None => "too few frames to tell whether they are blurred: blur is modelled".to_owned(),
-        Some(percent) if survey.blurred => {
-            format!("fine contrast changes by {percent:.0} % from frame to frame: blur is modelled")
-        }
-        Some(percent) => format!(
-            "fine contrast changes by {percent:.1} % from frame to frame, as in a sharp video: no blur model \
-             (`blur.model = \"camera\"` has one all the same)"
-        ),
-    })
-}
-
-/// Why frames have gains of their own, where that is left to the survey.
-fn gains_note(settings: &Settings, survey: &Survey) -> Option<String> {
-    let percent = 100.0 * survey.brightness_change?.exp_m1();
-    (settings.frames.gains == When::Auto && survey.gains_differ).then(|| {
-        format!("frames differ in brightness by {percent:.0} %: each has a gain of its own")
-    })
-}
-
 impl Trainer {
     /// Surveys the scene and sets up everything for the first iteration.
     ///
     /// `device` names the backend, with or without autodiff.
     ///
     /// # Errors
-    /// Settings out of range, a scene without frames or without anything to place Gaussians on.
+    /// Settings out of range, a scene without frames or without anything to place Gaussians on, or movers that cannot be lifted.
     pub fn new(mut scene: Scene, settings: Settings, device: &Device) -> Result<Self, TrainError> {
         settings.validate()?;
         if scene.frames.is_empty() {
@@ -120,10 +96,9 @@ impl Trainer {
             None
         };
         if survey.movers && dynamics.is_none() {
-            let note = "no track can be lifted (all are hidden, outside the masks or without depth): no motion bases";
-            survey.notes.push(note.to_owned());
+            let found = liftable(&scene);
+            return Err(SceneProblem::TracksNotLifted { found }.into());
         }
-        survey.movers = dynamics.is_some();
         let still = if survey.depth {
             place_static(&scene, &settings.gaussians, settings.seed)
         } else {
@@ -166,8 +141,8 @@ impl Trainer {
             blur: BlurModel::new(&settings, &survey, &views, (&device, dtype))?,
             corrections: Corrections::new(&settings, &survey, &views, (&device, dtype)),
         };
-        survey.notes.extend(blur_note(&settings, &survey));
-        survey.notes.extend(gains_note(&settings, &survey));
+        let decided = survey.decided(&settings);
+        survey.notes.extend(decided);
         let unseen = unseen_views(&scene, &views, &settings, &model.blur, size)?;
         if !unseen.is_empty() {
             survey.notes.push(format!("{} unseen views", unseen.len()));

@@ -2,7 +2,7 @@
 
 use crate::tensors::host;
 use burn::tensor::{Bool, DType, Device, Tensor, TensorData};
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 use io::Scene;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use splat_core::{Camera, camera_center, pose_rows};
@@ -50,13 +50,23 @@ pub(crate) fn poses_of(poses: Tensor<3>) -> Vec<DAffine3> {
     rows.map(|rows| pose_of(&rows.map(f64::from))).collect()
 }
 
-/// Index of the pixel that sees a point of the camera's space; `None` behind the camera and outside of the picture.
-pub(crate) fn pixel_of(camera: &Camera, point: DVec3) -> Option<usize> {
+/// Where a camera sees a point of its space, in pixels; `None` behind the camera and outside of the picture.
+pub(crate) fn seen_at(camera: &Camera, point: DVec3) -> Option<DVec2> {
     let pixel = camera.project(point);
     let inside = point.z > 0.0
         && (0.0..camera.width as f64).contains(&pixel.x)
         && (0.0..camera.height as f64).contains(&pixel.y);
-    inside.then(|| pixel.y as usize * camera.width + pixel.x as usize)
+    inside.then_some(pixel)
+}
+
+/// Index of the pixel that a place in the picture lies in.
+pub(crate) fn pixel_index(camera: &Camera, at: DVec2) -> usize {
+    at.y as usize * camera.width + at.x as usize
+}
+
+/// Index of the pixel that sees a point of the camera's space; `None` as for [`seen_at`].
+pub(crate) fn pixel_of(camera: &Camera, point: DVec3) -> Option<usize> {
+    seen_at(camera, point).map(|at| pixel_index(camera, at))
 }
 
 /// The views of a scene, as far as rendering needs them.

@@ -1,0 +1,143 @@
+//! `limpid check`: what a scene holds, and whether that can be right.
+
+use crate::config::{Config, RunOptions};
+use crate::failure::{Failure, with_causes};
+use crate::say::{print, say};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use trainer::Settings;
+use trainer::check::{Finding, Verdict, check};
+
+/// Exit codes beside success.
+const DOUBTFUL: u8 = 1;
+const WRONG: u8 = 2;
+
+/// Arguments of `limpid check`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct CheckArguments {
+    /// Folder of the scene.
+    scene: PathBuf,
+    /// Make pictures smaller by this factor.
+    #[arg(long, value_name = "F")]
+    downscale: Option<usize>,
+    /// Take the training frames from this folder of the scene.
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+    /// Ignore movers: no masks, no tracks.
+    #[arg(long = "static")]
+    is_static: bool,
+}
+
+pub(crate) fn run(arguments: &CheckArguments) -> Result<ExitCode, Failure> {
+    let (text, code) = report(arguments).unwrap_or_else(|error| {
+        let text = format!("{:>14}  {}", Verdict::Wrong, with_causes(&*error));
+        (text, WRONG)
+    });
+    print(&text)?;
+    Ok(ExitCode::from(code))
+}
+
+fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
+    let settings = Settings::default();
+    let run = RunOptions {
+        scene: Some(arguments.scene.clone()),
+        images: arguments.images.clone(),
+        downscale: arguments.downscale,
+        is_static: arguments.is_static,
+        ..RunOptions::default()
+    };
+    let mut scene = Config { run, settings }.open_scene()?;
+    let mut text = inventory(&scene)?;
+    let findings = check(&scene);
+    for finding in &findings {
+        writeln!(text, "{}", line(finding))?;
+    }
+    let worst = findings.iter().map(|f| f.verdict).max();
+    let code = match worst {
+        Some(Verdict::Wrong) => WRONG,
+        Some(Verdict::Doubtful) => DOUBTFUL,
+        _ => 0,
+    };
+    writeln!(text, "training would go by this:")?;
+    let survey = trainer::survey(&mut scene)?;
+    let decided = survey.decided(&Settings::default());
+    for note in survey.notes.iter().chain(&decided) {
+        writeln!(text, "  {note}")?;
+    }
+    Ok((text.trim_end().to_owned(), code))
+}
+
+/// What was found, and what is missing and makes it.
+fn inventory(scene: &io::Scene) -> Result<String, Failure> {
+    let mut text = String::new();
+    let first = scene.frames.first().ok_or("the scene has no frame")?;
+    let camera = &first.view.camera;
+    writeln!(
+        text,
+        "{}: {} frames of {}x{} in the layout of {}, {} test views",
+        scene.root.display(),
+        scene.frames.len(),
+        camera.width,
+        camera.height,
+        scene.layout,
+        scene.test.len()
+    )?;
+    for note in &scene.notes {
+        writeln!(text, "note: {note}")?;
+    }
+    let tracks = scene.tracks.as_ref().map_or(0, io::Tracks::num_tracks);
+    let parts = [
+        (
+            "sparse points",
+            scene.points.len(),
+            "COLMAP or GLOMAP makes them; without them depth is used as it is",
+        ),
+        (
+            "depth maps",
+            scene.frames.iter().filter(|f| f.depth.is_some()).count(),
+            "Depth Anything or another estimator makes them; without them Gaussians start at the sparse points, and nothing moves",
+        ),
+        (
+            "masks",
+            scene.frames.iter().filter(|f| f.mask.is_some()).count(),
+            "SAM 2 or another segmenter makes them; without them the scene is static",
+        ),
+        (
+            "tracks",
+            tracks,
+            "TAPIR, BootsTAPIR or CoTracker makes them; without them the scene is static",
+        ),
+    ];
+    for (what, count, advice) in parts {
+        if count > 0 {
+            writeln!(text, "  {what}: {count}")?;
+        } else {
+            writeln!(text, "  {what}: none; {advice}")?;
+        }
+    }
+    Ok(text)
+}
+
+fn line(finding: &Finding) -> String {
+    format!(
+        "{:>14}  {}: {}",
+        finding.verdict, finding.what, finding.text
+    )
+}
+
+/// Looks at the inputs of a training, and stops it where they cannot be right, unless it is to go on all the same.
+pub(crate) fn before_training(scene: &io::Scene, goes_on: bool) -> Result<(), Failure> {
+    let findings = check(scene);
+    for finding in &findings {
+        say!("{}", line(finding));
+    }
+    let is_wrong = findings.iter().any(|f| f.verdict == Verdict::Wrong);
+    if is_wrong && !goes_on {
+        return Err(
+            "inputs that cannot be right, see above; mend them, or go on all the same with --force"
+                .into(),
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,28 @@
+//! Whether a scene's inputs can be right, told before anything is trained on them.
+//!
+//! Files in another convention than the layout's train to the end and give a bad picture. Depth, poses, points, masks and tracks
+//! say some of the same things, so each is measured against the others, and where another reading of a file makes them agree, the
+//! finding says which.
+
+mod depth;
+mod finding;
+mod masks;
+mod poses;
+mod reading;
+mod tracks;
+
+pub use finding::{Finding, Verdict};
+
+use io::Scene;
+
+/// Looks at a scene as it was read, before [`crate::survey()`] aligns its depth. What is not there is not looked at.
+#[must_use]
+pub fn check(scene: &Scene) -> Vec<Finding> {
+    let fits = reading::fits(scene);
+    let mut findings = Vec::new();
+    findings.extend(depth::check(&fits));
+    findings.extend(poses::check(&fits));
+    findings.extend(masks::check(scene, &fits));
+    findings.extend(tracks::check(scene, &fits));
+    findings
+}

@@ -1,0 +1,86 @@
+//! Poses against pictures: frames warped to others, and points in the frames.
+
+use super::finding::{Finding, Verdict};
+use super::reading::{Fit, better};
+
+/// Pixels that go less far say nothing of poses, px.
+const LEAST_SHIFT: f64 = 1.0;
+/// Warped frames that differ by less than this share of unwarped ones are where they should be.
+const GOOD: f64 = 0.8;
+/// Ones that differ by more than unmoved ones are not.
+const BAD: f64 = 1.1;
+/// A scene is seen where fewer of its points than this are in no picture.
+const SEEN: f64 = 0.5;
+
+/// Of readings, as given first.
+pub(super) fn check(fits: &[Fit]) -> Vec<Finding> {
+    [warp(fits), points(fits)].into_iter().flatten().collect()
+}
+
+/// What another reading would be called.
+fn proposal(fits: &[Fit]) -> Option<(String, &Fit)> {
+    let best = better(fits)?;
+    let Fit { reading, scale, .. } = best;
+    let poses = reading.poses.map(|poses| format!("poses as {poses}"));
+    let depth = match (reading.inverse_depth, reading.free_scale) {
+        (true, _) => Some("depth as inverse depth".to_owned()),
+        (false, true) => Some(format!("depth times {scale:.2e}")),
+        (false, false) => None,
+    };
+    let parts: Vec<String> = poses.into_iter().chain(depth).collect();
+    Some((parts.join(" and "), best))
+}
+
+fn warp(fits: &[Fit]) -> Option<Finding> {
+    let given = fits.first()?.warp.as_ref()?;
+    let mut text = match given.pairs {
+        0 => "by depth and pose hardly a frame has anything of another in its picture".to_owned(),
+        pairs => format!(
+            "a frame moved to another by depth and pose differs from it by {:.0} % of what it differs unmoved ({pairs} pairs, \
+             {:.1} px at the median)",
+            100.0 * given.ratio,
+            given.shift_px
+        ),
+    };
+    let proposed = proposal(fits);
+    let verdict = match &proposed {
+        _ if given.shift_px < LEAST_SHIFT => Verdict::Untold,
+        Some((name, best)) if best.warp.as_ref().is_some_and(|w| w.ratio < given.ratio) => {
+            let found = best.warp.as_ref().map_or(1.0, |w| w.ratio);
+            text += &format!("; with {name} it is {:.0} %", 100.0 * found);
+            Verdict::Wrong
+        }
+        _ if given.ratio < GOOD => Verdict::Pass,
+        _ if given.ratio < BAD => Verdict::Doubtful,
+        _ => Verdict::Wrong,
+    };
+    Some(Finding {
+        what: "poses, depth and pictures",
+        verdict,
+        text,
+    })
+}
+
+fn points(fits: &[Fit]) -> Option<Finding> {
+    let given = fits.first()?.colors.as_ref()?;
+    let mut text = format!(
+        "{:.0} % of the sparse points are in some picture, and their colours differ from it by {:.0} % of what chance would do",
+        100.0 * given.seen,
+        100.0 * given.ratio
+    );
+    let proposed = proposal(fits);
+    let verdict = match &proposed {
+        Some((name, best)) if best.colors.as_ref().is_some_and(|c| c.ratio < given.ratio) => {
+            let found = best.colors.as_ref().map_or(1.0, |c| c.ratio);
+            text += &format!("; with {name} it is {:.0} %", 100.0 * found);
+            Verdict::Wrong
+        }
+        _ if given.seen < SEEN || given.ratio > GOOD => Verdict::Doubtful,
+        _ => Verdict::Pass,
+    };
+    Some(Finding {
+        what: "poses and sparse points",
+        verdict,
+        text,
+    })
+}

@@ -1,0 +1,44 @@
+//! Which places of two frames show the same, by depth and pose.
+
+use crate::views::seen_at;
+use glam::{DAffine3, DVec2};
+use splat_core::Camera;
+
+/// A pixel of one frame, seen in another.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    /// Index of the pixel.
+    pub(crate) pixel: usize,
+    /// Where its centre is in the other picture, px.
+    pub(crate) at: DVec2,
+    /// Its z-depth there.
+    pub(crate) depth: f64,
+}
+
+/// The pixels of a frame that another camera has in its picture: every `step`th of a row and a column. `depth` says how far a pixel
+/// is, and that it is not known by 0.
+pub(crate) fn seen_in<'a>(
+    camera: &'a Camera,
+    depth: impl Fn(usize) -> f64 + 'a,
+    other: &'a Camera,
+    other_from_camera: DAffine3,
+    step: usize,
+) -> impl Iterator<Item = Seen> + 'a {
+    let rows = (0..camera.height).step_by(step);
+    let pixels = rows.flat_map(move |y| (0..camera.width).step_by(step).map(move |x| (x, y)));
+    pixels.filter_map(move |(x, y)| {
+        let pixel = y * camera.width + x;
+        let z = depth(pixel);
+        if z <= 0.0 {
+            return None;
+        }
+        let center = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let seen = other_from_camera.transform_point3(camera.unproject(center, z));
+        let at = seen_at(other, seen)?;
+        Some(Seen {
+            pixel,
+            at,
+            depth: seen.z,
+        })
+    })
+}

@@ -1,0 +1,203 @@
+//! `trainer::check`: inputs in another convention are found out, and those that are right raise no alarm.
+
+use glam::{DAffine3, DMat3, DVec3};
+use io::{Map, Scene, TrackSample};
+use std::path::{Path, PathBuf};
+use trainer::check::{Verdict, check};
+use trainer::{SceneProblem, TrainError, survey};
+
+/// The demo, and all scenes of the folder that `LIMPID_SCENES` names.
+fn scenes() -> Vec<(String, Scene)> {
+    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("../demo")];
+    match std::env::var_os("LIMPID_SCENES") {
+        Some(others) => {
+            let entries = std::fs::read_dir(others).expect("LIMPID_SCENES is a folder");
+            let paths = entries.map(|entry| entry.expect("an entry").path());
+            folders.extend(paths.filter(|path| path.is_dir()));
+        }
+        None => {
+            eprintln!("LIMPID_SCENES names no folder with more scenes: only the demo is looked at")
+        }
+    }
+    let open = |path: PathBuf| {
+        (
+            path.display().to_string(),
+            Scene::open(&path).expect("a scene"),
+        )
+    };
+    folders.into_iter().map(open).collect()
+}
+
+/// OpenCV's camera axes from OpenGL's, and back.
+fn flip() -> DAffine3 {
+    DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)))
+}
+
+fn pose_by(scene: &mut Scene, layout: &'static str, change: impl Fn(DAffine3) -> DAffine3) {
+    scene.layout = layout;
+    for frame in &mut scene.frames {
+        frame.view.cam_from_world = change(frame.view.cam_from_world);
+    }
+}
+
+fn depth_by(scene: &mut Scene, change: impl Fn(f32) -> f32) {
+    let maps = scene.frames.iter_mut().filter_map(|f| f.depth.as_mut());
+    for z in maps
+        .flat_map(|m: &mut Map| &mut m.values)
+        .filter(|z| **z > 0.0)
+    {
+        *z = change(*z);
+    }
+}
+
+fn tracks_by(scene: &mut Scene, change: impl Fn(&mut TrackSample)) {
+    let queries = scene.tracks.iter_mut().flat_map(|t| &mut t.queries);
+    queries.flat_map(|q| &mut q.samples).for_each(change);
+}
+
+const SHAPE_OF_MOTION: &str = "Shape-of-Motion";
+const NERFSTUDIO: &str = "nerfstudio";
+
+/// Something that files may hold in the place of what is meant, as reading them makes of it.
+struct Mistake {
+    name: &'static str,
+    /// What a finding says of it.
+    said: &'static str,
+    make: fn(&mut Scene),
+}
+
+/// `pose` is what reading makes of the true pose: the files' matrices are read by their layout's custom, and hold another's.
+const MISTAKES: [Mistake; 12] = [
+    Mistake {
+        name: "depth where disparity is meant",
+        said: "inverse depth",
+        make: |scene| depth_by(scene, |z| 1.0 / z),
+    },
+    Mistake {
+        name: "disparity where depth is meant, without points",
+        said: "inverse depth",
+        make: |scene| {
+            scene.layout = NERFSTUDIO;
+            scene.points.clear();
+            depth_by(scene, |z| 0.3 / z);
+        },
+    },
+    Mistake {
+        name: "depth in another unit, without points",
+        said: "depth times",
+        make: |scene| {
+            scene.layout = NERFSTUDIO;
+            scene.points.clear();
+            depth_by(scene, |z| 0.1 * z);
+        },
+    },
+    Mistake {
+        name: "OpenCV axes in transforms.json",
+        said: "camera-to-world matrices with OpenCV axes",
+        make: |scene| pose_by(scene, NERFSTUDIO, |pose| flip() * pose),
+    },
+    Mistake {
+        name: "world-to-camera in transforms.json",
+        said: "world-to-camera matrices with OpenGL axes",
+        make: |scene| pose_by(scene, NERFSTUDIO, |pose| flip() * pose.inverse() * flip()),
+    },
+    Mistake {
+        name: "world-to-camera with OpenCV axes in transforms.json",
+        said: "world-to-camera matrices with OpenCV axes",
+        make: |scene| pose_by(scene, NERFSTUDIO, |pose| flip() * pose.inverse()),
+    },
+    Mistake {
+        name: "OpenGL axes in COLMAP's model",
+        said: "world-to-camera poses with OpenGL axes",
+        make: |scene| pose_by(scene, SHAPE_OF_MOTION, |pose| flip() * pose),
+    },
+    Mistake {
+        name: "camera-to-world in COLMAP's model",
+        said: "camera-to-world poses",
+        make: |scene| pose_by(scene, SHAPE_OF_MOTION, |pose| pose.inverse()),
+    },
+    Mistake {
+        name: "camera-to-world with OpenGL axes in COLMAP's model",
+        said: "camera-to-world poses with OpenGL axes",
+        make: |scene| pose_by(scene, SHAPE_OF_MOTION, |pose| pose.inverse() * flip()),
+    },
+    Mistake {
+        name: "masks turned round",
+        said: "turned round",
+        make: |scene| {
+            let masks = scene.frames.iter_mut().filter_map(|f| f.mask.as_mut());
+            masks
+                .flat_map(|m| &mut m.values)
+                .for_each(|v| *v = 1.0 - *v);
+        },
+    },
+    Mistake {
+        name: "tracks normalised to [0, 1]",
+        said: "shares of the picture",
+        make: |scene| {
+            let size = [
+                scene.frames[0].view.image.width,
+                scene.frames[0].view.image.height,
+            ];
+            tracks_by(scene, |s| {
+                s.x = (s.x - 0.5) / size[0] as f32 + 0.5;
+                s.y = (s.y - 0.5) / size[1] as f32 + 0.5;
+            });
+        },
+    },
+    Mistake {
+        name: "tracks of a video of twice the size",
+        said: "another size",
+        make: |scene| {
+            tracks_by(scene, |s| {
+                s.x *= 2.0;
+                s.y *= 2.0;
+            });
+        },
+    },
+];
+
+#[test]
+fn scenes_that_are_right_raise_no_alarm() {
+    for (name, scene) in scenes() {
+        for finding in check(&scene) {
+            assert!(finding.verdict <= Verdict::Untold, "{name}: {finding:?}");
+        }
+    }
+}
+
+#[test]
+fn no_mistake_is_passed_over() {
+    for (scene_name, scene) in scenes() {
+        let (mut made, mut passed_over) = (0, Vec::new());
+        for mistake in &MISTAKES {
+            let mut wrong = scene.clone();
+            (mistake.make)(&mut wrong);
+            if wrong == scene {
+                continue;
+            }
+            made += 1;
+            let findings = check(&wrong);
+            let said = |f: &trainer::check::Finding| {
+                f.verdict >= Verdict::Doubtful && f.text.contains(mistake.said)
+            };
+            if !findings.iter().any(said) {
+                passed_over.push(format!("{scene_name}, {}: {findings:#?}", mistake.name));
+            }
+        }
+        assert!(passed_over.is_empty(), "{}", passed_over.join("\n"));
+        assert!(made >= 8, "{scene_name}: {made} mistakes could be made");
+    }
+}
+
+#[test]
+fn movers_that_cannot_be_lifted_are_an_error_that_says_what_is_missing() {
+    let (_, demo) = scenes().swap_remove(0);
+    for nothing in [0.0, -1.0] {
+        let mut scene = demo.clone();
+        depth_by(&mut scene, |_| nothing);
+        let error = survey(&mut scene).expect_err("no depth");
+        let is_told = matches!(error, TrainError::Scene(SceneProblem::MoversWithoutDepth));
+        assert!(is_told, "{error}");
+    }
+}
