@@ -39,6 +39,7 @@ mod brightness;
 mod checkpoint;
 mod corrections;
 mod correspondence;
+mod coverage;
 mod cpu;
 #[cfg(feature = "cube")]
 mod cube;

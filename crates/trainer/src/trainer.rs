@@ -5,6 +5,7 @@ use crate::alignment::point_depths;
 use crate::blur::BlurModel;
 use crate::checkpoint::FILE_NAME;
 use crate::corrections::Corrections;
+use crate::coverage::fill;
 use crate::dynamics::start_dynamics;
 use crate::error::{CheckpointProblem, OtherScene, SceneProblem};
 use crate::lifting::liftable;
@@ -120,24 +121,37 @@ impl Trainer {
         if seeds.means.is_empty() {
             return Err(SceneProblem::NothingToPlace.into());
         }
-        let start = GaussianTensors::new(
-            &seeds,
-            settings.gaussians.initial_opacity,
-            settings.gaussians.sh_degree,
-            (&device, dtype),
-        );
         let size = survey.scene_size;
         let views = Views::of(&scene, settings.gaussians.near * size);
-        let model = Model {
-            world: World {
-                means: start.means.require_grad(),
-                quats: start.quats.require_grad(),
-                log_scales: start.log_scales.require_grad(),
-                opacity_logits: start.opacity_logits.require_grad(),
-                sh: start.sh.require_grad(),
+        let world = |more: Seeds| {
+            let GaussianTensors {
+                means,
+                quats,
+                log_scales,
+                opacity_logits,
+                sh,
+            } = GaussianTensors::new(
+                &seeds.clone().followed_by(more),
+                settings.gaussians.initial_opacity,
+                settings.gaussians.sh_degree,
+                (&device, dtype),
+            );
+            World {
+                means: means.require_grad(),
+                quats: quats.require_grad(),
+                log_scales: log_scales.require_grad(),
+                opacity_logits: opacity_logits.require_grad(),
+                sh: sh.require_grad(),
                 num_dynamic,
-                motion,
-            },
+                motion: motion.clone(),
+            }
+        };
+        let most = settings.gaussians.most(views.train[0].camera.num_pixels());
+        let room = most.saturating_sub(seeds.means.len());
+        let filled = fill(&scene, &views, size, room, world)?;
+        survey.notes.push(filled.note());
+        let model = Model {
+            world: world(filled.seeds),
             blur: BlurModel::new(&settings, &survey, &views, (&device, dtype))?,
             corrections: Corrections::new(&settings, &survey, &views, (&device, dtype)),
         };

@@ -9,10 +9,12 @@ use crate::views::{pixel_index, seen_at};
 use glam::DVec2;
 use io::Scene;
 
-/// Tracks are on the masks, or in the pictures, if more of their visible positions than this are.
+/// Where fewer visible positions are in the pictures, they belong to others.
 const MOST: f64 = 0.5;
-/// … and all of them if more than this.
+/// So many are in the pictures where trackers go astray now and then.
 const NEARLY_ALL: f64 = 0.9;
+/// Where fewer lie on the masks (whole pixels, which are large in small pictures), movers are lost.
+const ON_MASKS: f64 = 0.3;
 /// As far as this around a mask things may move, px of a picture 256 wide.
 const MARGIN: f64 = 8.0;
 /// Fewer positions say too little.
@@ -86,7 +88,7 @@ fn on_masks(found: Liftable) -> Finding {
     let on_mask = share(found.on_mask, found.inside);
     let verdict = match found {
         Liftable { with_depth: 0, .. } => Verdict::Wrong,
-        _ if on_mask < MOST => Verdict::Doubtful,
+        _ if on_mask < ON_MASKS => Verdict::Doubtful,
         _ => Verdict::Pass,
     };
     Finding {
