@@ -4,6 +4,7 @@ mod config;
 mod devices;
 mod eval;
 mod failure;
+mod keys;
 mod lock;
 mod outputs;
 mod render;
