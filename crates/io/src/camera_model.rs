@@ -128,8 +128,9 @@ fn fault(c: &Camera) -> Option<String> {
             ));
         }
     }
-    let center = [c.cx, c.cy];
-    let lost = center.iter().find(|v| !(v.abs() <= 1e9));
+    // Written so that what is not a number is refused too.
+    let near = -1e9..=1e9;
+    let lost = [c.cx, c.cy].into_iter().find(|v| !near.contains(v));
     lost.map(|v| format!("the centre's coordinate {v} is not within 1e9 pixels of the picture"))
 }
 

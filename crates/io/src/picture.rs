@@ -306,6 +306,7 @@ fn write_pixels(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use image::codecs::jpeg::JpegEncoder;
 
     #[test]
     fn written_pictures_come_back_rounded() {
@@ -398,17 +399,23 @@ mod tests {
         );
     }
 
-    /// A picture [2, 4] of greys 0 to 7 that EXIF wants turned by this.
+    /// A picture [2, 4] of greys 0 to 7 that EXIF wants turned by this, as PNG or JPEG by the path's ending.
     fn with_exif(path: &Path, orientation: Orientation) {
         // TIFF: little-endian, the directory at 8, one entry: tag 0x112 of one 16-bit number.
         let mut exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
         exif.extend([orientation.to_exif(), 0, 0, 0, 0, 0, 0, 0]);
         let mut data = Vec::new();
-        let mut png = PngEncoder::new(&mut data);
-        png.set_exif_metadata(exif).unwrap();
         let greys = [0, 1, 2, 3, 4, 5, 6, 7];
-        png.write_image(&greys, 4, 2, ExtendedColorType::L8)
-            .unwrap();
+        if path.extension().is_some_and(|ending| ending == "jpg") {
+            let mut jpeg = JpegEncoder::new(&mut data);
+            jpeg.set_exif_metadata(exif).unwrap();
+            jpeg.write_image(&greys, 4, 2, ExtendedColorType::L8)
+        } else {
+            let mut png = PngEncoder::new(&mut data);
+            png.set_exif_metadata(exif).unwrap();
+            png.write_image(&greys, 4, 2, ExtendedColorType::L8)
+        }
+        .unwrap();
         std::fs::write(path, data).unwrap();
     }
 
@@ -440,6 +447,12 @@ mod tests {
         assert_eq!(read(Some((4, 2))), ((4, 2), 7, true), "both fit");
         let picture = read_image(&path).unwrap();
         assert_eq!((255.0 * picture.pixels[0]).round(), 7.0);
+
+        let jpeg = folder.path().join("a.jpg");
+        with_exif(&jpeg, Orientation::Rotate90);
+        assert_eq!(read_size(&jpeg).unwrap(), (2, 4));
+        let picture = read_image(&jpeg).unwrap();
+        assert_eq!((picture.width, picture.height), (2, 4));
 
         with_exif(&path, Orientation::NoTransforms);
         let mut notes = Vec::new();
