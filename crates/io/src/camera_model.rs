@@ -71,19 +71,10 @@ pub(crate) struct Lens {
 
 impl Lens {
     /// Checks the numbers and that there is no distortion worth a thousandth of a pixel.
-    pub(crate) fn into_pinhole(self, path: &Path) -> Result<Camera, IoError> {
-        let c = &self.camera;
-        // Far beyond any lens, and far from overflow when the camera is scaled.
-        let focal = [c.fx, c.fy].iter().all(|f| (1e-3..=1e9).contains(f));
-        let center = [c.cx, c.cy].iter().all(|v| v.abs() <= 1e9);
-        if !focal || !center || c.width == 0 || c.height == 0 {
-            return Err(IoError::malformed(
-                path,
-                format!(
-                    "camera has size {}x{}, focal lengths {}, {} and centre {}, {}",
-                    c.width, c.height, c.fx, c.fy, c.cx, c.cy
-                ),
-            ));
+    /// `who` has it, for messages.
+    pub(crate) fn into_pinhole(self, who: &str, path: &Path) -> Result<Camera, IoError> {
+        if let Some(fault) = fault(&self.camera) {
+            return Err(IoError::malformed(path, format!("{who}: {fault}")));
         }
         let pixels = self.largest_displacement();
         // Written so that a coefficient that is not a number is refused too.
@@ -118,6 +109,31 @@ impl Lens {
     }
 }
 
+/// What is wrong with a camera's numbers, if anything.
+fn fault(c: &Camera) -> Option<String> {
+    if c.width == 0 || c.height == 0 {
+        return Some(format!("size {}x{} has no pixels", c.width, c.height));
+    }
+    // Far beyond any lens, and far from overflow when the camera is scaled.
+    for f in [c.fx, c.fy] {
+        if f.is_nan() {
+            return Some(format!("focal length {f} is not a number"));
+        }
+        if f <= 0.0 {
+            return Some(format!("focal length {f} is not over zero"));
+        }
+        if !(1e-3..=1e9).contains(&f) {
+            return Some(format!(
+                "focal length {f} is no lens's: 0.001 to 1e9 pixels are"
+            ));
+        }
+    }
+    // Written so that what is not a number is refused too.
+    let near = -1e9..=1e9;
+    let lost = [c.cx, c.cy].into_iter().find(|v| !near.contains(v));
+    lost.map(|v| format!("the centre's coordinate {v} is not within 1e9 pixels of the picture"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -129,7 +145,7 @@ mod tests {
             distortion,
         };
         let pixels = lens.largest_displacement();
-        match lens.into_pinhole(Path::new("cameras.bin")) {
+        match lens.into_pinhole("camera 1", Path::new("cameras.bin")) {
             Ok(_) => assert!(pixels < 1e-3, "{pixels}"),
             Err(IoError::Distortion { pixels: told, .. }) => {
                 assert!(told == pixels || pixels.is_nan(), "{told} is not {pixels}");

@@ -61,6 +61,21 @@ pub enum IoError {
         path: PathBuf,
     },
 
+    /// JSON that is broken, or that holds something else than what is read from it.
+    #[error("line {line}, column {column}{}: {problem}: {}", at_key(key), path.display())]
+    Json {
+        /// The field, such as `frames[3].time`; empty where it is the whole.
+        key: String,
+        /// What is wrong with it.
+        problem: String,
+        /// The line, counted from 1.
+        line: usize,
+        /// The column, counted from 1.
+        column: usize,
+        /// The file.
+        path: PathBuf,
+    },
+
     /// A picture or an array has another size than what it belongs to.
     #[error("{what} has size {found}, expected {expected}: {}", path.display())]
     Size {
@@ -75,10 +90,12 @@ pub enum IoError {
     },
 
     /// Not a number where one is needed.
-    #[error("{what} is not a number; make the file again, or mark missing values with 0: {}", path.display())]
+    #[error("{what} is not a number; {advice}: {}", path.display())]
     NotANumber {
         /// Where: which value of what.
         what: String,
+        /// What to do about it, in this kind of file.
+        advice: &'static str,
         /// The file.
         path: PathBuf,
     },
@@ -100,8 +117,8 @@ pub enum IoError {
 
     /// Masks say that something moves, and no tracks say how.
     #[error(
-        "there are dynamic masks ({}) but no tracks; add tracks, or ask for a static scene \
-         (--static), which ignores the masks: {}", masks.display(), tracks.display()
+        "there are dynamic masks ({}) but no tracks; add tracks, or train without them by \
+         `limpid train --static`, which ignores the masks: {}", masks.display(), tracks.display()
     )]
     MasksWithoutTracks {
         /// The masks.
@@ -164,9 +181,10 @@ impl IoError {
         }
     }
 
-    pub(crate) fn not_a_number(path: &Path, what: impl Into<String>) -> Self {
+    pub(crate) fn not_a_number(path: &Path, what: impl Into<String>, advice: &'static str) -> Self {
         Self::NotANumber {
             what: what.into(),
+            advice,
             path: path.into(),
         }
     }
@@ -185,6 +203,14 @@ impl IoError {
             path: path.into(),
         }
     }
+}
+
+/// A field as a part of a sentence.
+fn at_key(key: &str) -> String {
+    if key.is_empty() {
+        return String::new();
+    }
+    format!(", `{key}`")
 }
 
 /// Up to eight names for a message, and how many more there are.

@@ -1,11 +1,13 @@
 //! Reads the files of a plan and brings them to one size.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::error::list_names;
 use crate::folder::{PICTURES, list};
+use crate::notes::note;
 use crate::npy::read_npy;
-use crate::picture::{read_depth_png, read_image, read_map};
+use crate::picture::{has_aspect, read_depth_png, read_image_for, read_map_for};
 use crate::plan::{DepthFile, Plan, PlannedFrame, PlannedView};
 use crate::resample::{
     resize_camera, resize_nearest, shrink_camera, shrink_depth, shrink_image, shrink_map,
@@ -22,7 +24,6 @@ pub(crate) fn load(
     let stems: Vec<_> = plan.frames.iter().map(|f| f.view.name.clone()).collect();
     let mut loader = Loader {
         factor: options.downscale,
-        size: None,
         inverted_masks: plan.inverted_masks,
         largest_mask: 0.0,
         notes: plan.notes,
@@ -53,13 +54,22 @@ pub(crate) fn load(
         plan.tracks.read(&stems, options.downscale)?
     };
 
-    let mut frames = Vec::with_capacity(plan.frames.len());
+    // All pictures before what belongs to them: only together do they say which of them has an odd size.
+    let (mut views, mut sizes) = (Vec::new(), Vec::new());
     for planned in &plan.frames {
-        frames.push(loader.frame(planned)?);
+        let image = loader.image(&planned.view)?;
+        sizes.push((image.width, image.height));
+        views.push(loader.view(&planned.view, image)?);
+    }
+    check_sizes(&plan.frames, &sizes)?;
+    let mut frames = Vec::with_capacity(views.len());
+    for ((planned, view), size) in plan.frames.iter().zip(views).zip(sizes) {
+        frames.push(loader.frame(planned, view, size)?);
     }
     let mut test = Vec::with_capacity(plan.test.len());
     for planned in &plan.test {
-        test.push(loader.view(planned, read_image(&planned.image)?)?);
+        let image = loader.image(planned)?;
+        test.push(loader.view(planned, image)?);
     }
 
     let mut notes = loader.notes;
@@ -87,6 +97,28 @@ pub(crate) fn load(
         tracks,
         notes,
     })
+}
+
+/// An error for the first picture that has not the size of the others: the most frequent one, or among those the one that
+/// cameras have.
+fn check_sizes(frames: &[PlannedFrame], sizes: &[(usize, usize)]) -> Result<(), IoError> {
+    let rank = |size: &(usize, usize)| {
+        let count = sizes.iter().filter(|other| *other == size).count();
+        let cameras = frames.iter().map(|f| &f.view.camera);
+        let fitting = cameras.filter(|c| (c.width, c.height) == *size).count();
+        (count, fitting)
+    };
+    let distinct = BTreeSet::from_iter(sizes.iter().copied());
+    let Some(&usual) = distinct.iter().max_by_key(|size| rank(size)) else {
+        return Ok(());
+    };
+    match frames.iter().zip(sizes).find(|(_, size)| **size != usual) {
+        Some((odd, &found)) => {
+            let what = "the picture, unlike those of other frames,";
+            Err(IoError::size(&odd.view.image, what, found, usual))
+        }
+        None => Ok(()),
+    }
 }
 
 /// That some frames have a file of this kind and others not is an error.
@@ -142,8 +174,6 @@ fn settle_masks(frames: &mut [Frame], largest: f32, notes: &mut Vec<String>) {
 /// Reads files and makes them smaller.
 struct Loader {
     factor: usize,
-    /// Size of the training frames' files, (width, height), from the first one.
-    size: Option<(usize, usize)>,
     inverted_masks: bool,
     /// Largest value of all masks at their own size.
     largest_mask: f32,
@@ -151,22 +181,23 @@ struct Loader {
 }
 
 impl Loader {
-    /// Many files have the same to tell: it is told once.
     fn note(&mut self, text: String) {
-        if !self.notes.contains(&text) {
-            self.notes.push(text);
-        }
+        note(&mut self.notes, text);
     }
 
-    fn frame(&mut self, planned: &PlannedFrame) -> Result<Frame, IoError> {
-        let path = &planned.view.image;
-        let image = read_image(path)?;
-        let found = (image.width, image.height);
-        let size = *self.size.get_or_insert(found);
-        if found != size {
-            return Err(IoError::size(path, "the picture", found, size));
-        }
-        let view = self.view(&planned.view, image)?;
+    /// A view's picture, as it is in its file.
+    fn image(&mut self, planned: &PlannedView) -> Result<Image, IoError> {
+        let of_camera = (planned.camera.width, planned.camera.height);
+        read_image_for(&planned.image, Some(of_camera), &mut self.notes)
+    }
+
+    /// A view with what belongs to it; its picture's file has this `size`.
+    fn frame(
+        &mut self,
+        planned: &PlannedFrame,
+        view: View,
+        size: (usize, usize),
+    ) -> Result<Frame, IoError> {
         let depth = planned.depth.as_ref();
         let depth = depth.map(|file| self.depth(file, size)).transpose()?;
         let mask = planned.mask.as_ref();
@@ -194,17 +225,13 @@ impl Loader {
             ));
         }
         let mut camera = planned.camera.clone();
-        if (camera.width, camera.height) != (width, height) {
-            let scale_x = width as f64 / camera.width as f64;
-            let scale_y = height as f64 / camera.height as f64;
-            // A side rounded to whole pixels may be off by one.
-            let tolerance = 1.0 / width.min(height) as f64 + 1e-9;
-            if (scale_x / scale_y - 1.0).abs() > tolerance {
+        let of_camera = (camera.width, camera.height);
+        if of_camera != (width, height) {
+            if !has_aspect((width, height), of_camera) {
                 let what = format!(
                     "the picture has another aspect ratio than its camera in {}; it",
                     planned.camera_file.display()
                 );
-                let of_camera = (camera.width, camera.height);
                 let found = (width, height);
                 return Err(IoError::size(&planned.image, what, found, of_camera));
             }
@@ -231,12 +258,13 @@ impl Loader {
         let mut map = if is_array {
             read_array_map(path)?
         } else {
-            read_depth_png(path)?
+            read_depth_png(path, size, &mut self.notes)?
         };
         if let Some(at) = map.values.iter().position(|v| v.is_nan()) {
             let (x, y) = (at % map.width, at / map.width);
             let what = format!("the value at column {x}, row {y},");
-            return Err(IoError::not_a_number(path, what));
+            let advice = "make the file again, or mark missing values with 0";
+            return Err(IoError::not_a_number(path, what, advice));
         }
         for value in &mut map.values {
             let v = f64::from(*value);
@@ -268,7 +296,7 @@ impl Loader {
 
     /// A mask of the training frames' `size`, 1 where something moves, shrunk.
     fn mask(&mut self, path: &Path, size: (usize, usize)) -> Result<Map, IoError> {
-        let mut map = read_map(path)?;
+        let mut map = read_map_for(path, Some(size), &mut self.notes)?;
         let found = (map.width, map.height);
         if found != size {
             return Err(IoError::size(path, "the mask", found, size));

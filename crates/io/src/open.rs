@@ -20,13 +20,17 @@ impl Scene {
     /// there.
     ///
     /// # Errors
-    /// [`IoError::Unrecognised`] says what was looked for; everything else that is missing, broken,
+    /// [`IoError::Unrecognised`] says what was looked for; [`IoError::Invalid`] is for a file; everything else that is missing, broken,
     /// of the wrong size or distorted has its own variant and names the file.
     pub fn open_with(dir: &Path, options: &LoadOptions) -> Result<Self, IoError> {
         if options.downscale == 0 {
             return Err(IoError::invalid(dir, "downscale must be at least 1"));
         }
         let root = dir.canonicalize().map_err(|e| IoError::access(dir, e))?;
+        if root.is_file() {
+            let what = "this is a file, and a scene is a folder; give the folder that it is in";
+            return Err(IoError::invalid(dir, what));
+        }
         match LAYOUTS.iter().find(|layout| layout.recognises(&root)) {
             Some(layout) => {
                 let plan = (layout.plan)(&root, options)?;

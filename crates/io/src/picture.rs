@@ -1,14 +1,17 @@
 //! Pictures: PNG and JPEG in, 8-bit PNG out.
 
-use std::io::Cursor;
+use std::io::{Cursor, ErrorKind};
 use std::path::Path;
 
 use image::codecs::png::PngEncoder;
+use image::metadata::Orientation;
 use image::{
-    DynamicImage, ExtendedColorType, ImageDecoder as _, ImageEncoder as _, ImageFormat, ImageReader,
+    DynamicImage, ExtendedColorType, ImageDecoder as _, ImageEncoder as _, ImageError, ImageFormat,
+    ImageReader,
 };
 
 use crate::bytes::{check_regular, read_file};
+use crate::notes::note;
 use crate::{IoError, write_atomic};
 
 /// A colour picture.
@@ -40,7 +43,8 @@ pub(crate) const MAX_PACKING: u64 = 1100;
 /// No picture of a video comes near (8K has 33 million); larger ones are refused before they are allocated.
 const MAX_PIXELS: u64 = 100_000_000;
 
-fn decode(path: &Path) -> Result<DynamicImage, IoError> {
+/// A picture as it is stored, and how its EXIF data wants it turned.
+fn decode(path: &Path) -> Result<(DynamicImage, Orientation), IoError> {
     let data = read_file(path)?;
     let mut reader = ImageReader::new(Cursor::new(&data))
         .with_guessed_format()
@@ -54,16 +58,8 @@ fn decode(path: &Path) -> Result<DynamicImage, IoError> {
     limits.max_alloc = Some(8 * MAX_PIXELS);
     reader.limits(limits);
 
-    let bad = |e: image::ImageError| match e {
-        image::ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => {
-            IoError::truncated(path, "the picture ends too early")
-        }
-        image::ImageError::Unsupported(_) => {
-            IoError::malformed(path, "not a PNG or JPEG picture that can be read")
-        }
-        e => IoError::malformed(path, format!("broken picture: {e}")),
-    };
-    let decoder = reader.into_decoder().map_err(bad)?;
+    let bad = |e| undecodable(path, e);
+    let mut decoder = reader.into_decoder().map_err(bad)?;
     let (width, height) = decoder.dimensions();
     let pixels = u64::from(width) * u64::from(height);
     // A pixel takes a bit or more before it is packed.
@@ -76,7 +72,71 @@ fn decode(path: &Path) -> Result<DynamicImage, IoError> {
     if width == 0 || height == 0 {
         return Err(IoError::malformed(path, "the picture has no pixels"));
     }
-    DynamicImage::from_decoder(decoder).map_err(bad)
+    let orientation = decoder.orientation().map_err(bad)?;
+    let picture = DynamicImage::from_decoder(decoder).map_err(bad)?;
+    Ok((picture, orientation))
+}
+
+fn undecodable(path: &Path, error: ImageError) -> IoError {
+    match error {
+        ImageError::IoError(e) if e.kind() == ErrorKind::UnexpectedEof => {
+            IoError::truncated(path, "the picture ends too early")
+        }
+        ImageError::Unsupported(_) => {
+            IoError::malformed(path, "not a PNG or JPEG picture that can be read")
+        }
+        e => IoError::malformed(path, format!("broken picture: {e}")),
+    }
+}
+
+/// Width and height, or any other two sides.
+type Size = (usize, usize);
+
+/// A picture, turned as its EXIF data says. What made a scene's cameras may have looked at the pixels as they are stored: where
+/// these fit the `expected` size and the turned ones do not, they are left alone.
+fn decode_upright(
+    path: &Path,
+    expected: Option<Size>,
+    notes: &mut Vec<String>,
+) -> Result<DynamicImage, IoError> {
+    let (mut picture, orientation) = decode(path)?;
+    if orientation == Orientation::NoTransforms {
+        return Ok(picture);
+    }
+    let stored = (picture.width() as usize, picture.height() as usize);
+    let fit = |size| expected.map(|expected| (size == expected, has_aspect(size, expected)));
+    if fit(stored) > fit(turned(stored, orientation)) {
+        note(
+            notes,
+            "EXIF data wants pictures turned: they are not, as their cameras have the size of the stored pixels",
+        );
+        return Ok(picture);
+    }
+    note(notes, "pictures are turned as their EXIF data says");
+    picture.apply_orientation(orientation);
+    Ok(picture)
+}
+
+/// A size once it is turned.
+fn turned((width, height): Size, orientation: Orientation) -> Size {
+    match orientation {
+        Orientation::Rotate90
+        | Orientation::Rotate270
+        | Orientation::Rotate90FlipH
+        | Orientation::Rotate270FlipH => (height, width),
+        Orientation::NoTransforms
+        | Orientation::Rotate180
+        | Orientation::FlipHorizontal
+        | Orientation::FlipVertical => (width, height),
+    }
+}
+
+/// Whether one size is the other made larger or smaller. A side rounded to whole pixels may be off by one.
+pub(crate) fn has_aspect((width, height): Size, expected: Size) -> bool {
+    let scale_x = width as f64 / expected.0 as f64;
+    let scale_y = height as f64 / expected.1 as f64;
+    let tolerance = 1.0 / width.min(height) as f64 + 1e-9;
+    (scale_x / scale_y - 1.0).abs() <= tolerance
 }
 
 /// Whether the picture's end marker is there. The decoders forgive a missing end: they fill in grey.
@@ -90,20 +150,33 @@ fn is_whole(data: &[u8], format: Option<ImageFormat>) -> bool {
     }
 }
 
-/// A picture's width and height, from its header alone.
-pub(crate) fn read_size(path: &Path) -> Result<(usize, usize), IoError> {
+/// A picture's width and height once it is turned as its EXIF data says, from its header alone.
+pub(crate) fn read_size(path: &Path) -> Result<Size, IoError> {
     check_regular(path)?;
-    let (width, height) = image::image_dimensions(path)
-        .map_err(|e| IoError::malformed(path, format!("not a picture that can be read: {e}")))?;
-    Ok((width as usize, height as usize))
+    let open = || ImageReader::open(path)?.with_guessed_format();
+    let reader = open().map_err(|e| IoError::access(path, e))?;
+    let bad = |e| undecodable(path, e);
+    let mut decoder = reader.into_decoder().map_err(bad)?;
+    let (width, height) = decoder.dimensions();
+    let orientation = decoder.orientation().map_err(bad)?;
+    Ok(turned((width as usize, height as usize), orientation))
 }
 
-/// Reads a PNG or JPEG as sRGB in [0, 1]. Grey is repeated over the channels, alpha is dropped.
+/// Reads a PNG or JPEG as sRGB in [0, 1], turned as its EXIF data says. Grey is repeated over the channels, alpha is dropped.
 ///
 /// # Errors
 /// [`IoError::Access`], [`IoError::Truncated`] or [`IoError::Malformed`].
 pub fn read_image(path: &Path) -> Result<Image, IoError> {
-    let picture = decode(path)?.into_rgb32f();
+    read_image_for(path, None, &mut Vec::new())
+}
+
+/// As [`read_image`], for a camera of this size or a multiple of it: a picture that fits it only as it is stored is not turned.
+pub(crate) fn read_image_for(
+    path: &Path,
+    size: Option<Size>,
+    notes: &mut Vec<String>,
+) -> Result<Image, IoError> {
+    let picture = decode_upright(path, size, notes)?.into_rgb32f();
     Ok(Image {
         width: picture.width() as usize,
         height: picture.height() as usize,
@@ -111,22 +184,64 @@ pub fn read_image(path: &Path) -> Result<Image, IoError> {
     })
 }
 
-/// Reads the first channel of a PNG or JPEG, in [0, 1]. (Masks are often stored as three equal channels.)
+/// Reads the first channel of a PNG or JPEG, in [0, 1], turned as its EXIF data says. (Masks are often stored as three equal
+/// channels.) Where the colour is the same everywhere and the alpha channel is not, the alpha channel.
 ///
 /// # Errors
 /// [`IoError::Access`], [`IoError::Truncated`] or [`IoError::Malformed`].
 pub fn read_map(path: &Path) -> Result<Map, IoError> {
-    let picture = decode(path)?.into_rgb32f();
+    read_map_for(path, None, &mut Vec::new())
+}
+
+/// As [`read_map`], for a picture of this size: what fits it only as it is stored is not turned.
+pub(crate) fn read_map_for(
+    path: &Path,
+    size: Option<Size>,
+    notes: &mut Vec<String>,
+) -> Result<Map, IoError> {
+    let picture = decode_upright(path, size, notes)?;
+    let (width, height) = (picture.width() as usize, picture.height() as usize);
+    let channel = |values: &[f32], channels: usize, at: usize| {
+        values.iter().skip(at).step_by(channels).copied().collect()
+    };
+    let values = if picture.color().has_alpha() {
+        let pixels = picture.into_rgba32f().into_raw();
+        let says = says_alpha(&pixels);
+        if says {
+            note(
+                notes,
+                "masks have one colour everywhere: they are read from the alpha channel",
+            );
+        }
+        channel(&pixels, 4, if says { 3 } else { 0 })
+    } else {
+        channel(picture.into_rgb32f().as_raw(), 3, 0)
+    };
     Ok(Map {
-        width: picture.width() as usize,
-        height: picture.height() as usize,
-        values: picture.as_raw().iter().step_by(3).copied().collect(),
+        width,
+        height,
+        values,
     })
 }
 
-/// Reads the raw numbers of a 16-bit grey PNG, as depth sensors' files have them.
-pub(crate) fn read_depth_png(path: &Path) -> Result<Map, IoError> {
-    match decode(path)? {
+/// Whether it is the alpha channel that says something, of pixels [N, 4]: it differs and the colour does not. A picture that
+/// is transparent everywhere holds nothing, whatever its colour.
+fn says_alpha(pixels: &[f32]) -> bool {
+    let Some(first) = pixels.first_chunk::<4>() else {
+        return false;
+    };
+    let differs = |c: usize| pixels.iter().skip(c).step_by(4).any(|&v| v != first[c]);
+    let one_color = !(0..3).any(differs);
+    one_color && (differs(3) || (first[3] == 0.0 && first[0] > 0.0))
+}
+
+/// Reads the raw numbers of a 16-bit grey PNG, as depth sensors' files have them, for a picture of this size or a multiple of it.
+pub(crate) fn read_depth_png(
+    path: &Path,
+    size: Size,
+    notes: &mut Vec<String>,
+) -> Result<Map, IoError> {
+    match decode_upright(path, Some(size), notes)? {
         DynamicImage::ImageLuma16(picture) => Ok(Map {
             width: picture.width() as usize,
             height: picture.height() as usize,
@@ -191,6 +306,7 @@ fn write_pixels(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use image::codecs::jpeg::JpegEncoder;
 
     #[test]
     fn written_pictures_come_back_rounded() {
@@ -248,5 +364,99 @@ mod tests {
             "alpha is dropped"
         );
         assert_eq!(read_map(&path).unwrap().values, [1.0], "the first channel");
+    }
+
+    #[test]
+    fn a_map_is_in_the_alpha_channel_where_only_that_differs() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let read = |pixels: [[u8; 4]; 2]| {
+            let raw = pixels.concat();
+            image::RgbaImage::from_raw(2, 1, raw)
+                .unwrap()
+                .save(&path)
+                .unwrap();
+            let mut notes = Vec::new();
+            let map = read_map_for(&path, None, &mut notes).unwrap();
+            (map.values, notes.len())
+        };
+        for color in [0, 255] {
+            let [c, d] = [[color, color, color, 0], [color, color, color, 255]];
+            assert_eq!(read([c, d]), (vec![0.0, 1.0], 1), "{color}");
+        }
+        let both_differ = [[0, 0, 0, 255], [255, 255, 255, 0]];
+        assert_eq!(read(both_differ), (vec![0.0, 1.0], 0), "colour counts");
+        assert_eq!(read([[255, 255, 255, 255]; 2]), (vec![1.0, 1.0], 0));
+        assert_eq!(
+            read([[255, 255, 255, 0]; 2]),
+            (vec![0.0, 0.0], 1),
+            "nothing is there"
+        );
+        assert_eq!(
+            read([[0, 0, 0, 0]; 2]),
+            (vec![0.0, 0.0], 0),
+            "and nothing to tell"
+        );
+    }
+
+    /// A picture [2, 4] of greys 0 to 7 that EXIF wants turned by this, as PNG or JPEG by the path's ending.
+    fn with_exif(path: &Path, orientation: Orientation) {
+        // TIFF: little-endian, the directory at 8, one entry: tag 0x112 of one 16-bit number.
+        let mut exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
+        exif.extend([orientation.to_exif(), 0, 0, 0, 0, 0, 0, 0]);
+        let mut data = Vec::new();
+        let greys = [0, 1, 2, 3, 4, 5, 6, 7];
+        if path.extension().is_some_and(|ending| ending == "jpg") {
+            let mut jpeg = JpegEncoder::new(&mut data);
+            jpeg.set_exif_metadata(exif).unwrap();
+            jpeg.write_image(&greys, 4, 2, ExtendedColorType::L8)
+        } else {
+            let mut png = PngEncoder::new(&mut data);
+            png.set_exif_metadata(exif).unwrap();
+            png.write_image(&greys, 4, 2, ExtendedColorType::L8)
+        }
+        .unwrap();
+        std::fs::write(path, data).unwrap();
+    }
+
+    #[test]
+    fn pictures_are_turned_unless_their_camera_says_otherwise() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        // The size, the grey at the top left, and whether the note says that pictures are turned.
+        let read = |expected: Option<Size>| {
+            let mut notes = Vec::new();
+            let map = read_map_for(&path, expected, &mut notes).unwrap();
+            assert_eq!(notes.len(), 1, "{notes:?}");
+            let corner = (255.0 * map.values[0]).round() as u8;
+            let turned = notes[0].contains("are turned");
+            ((map.width, map.height), corner, turned)
+        };
+        let stored = ((4, 2), 0, false);
+        with_exif(&path, Orientation::Rotate90);
+        assert_eq!(read_size(&path).unwrap(), (2, 4));
+        for expected in [None, Some((2, 4)), Some((100, 200)), Some((7, 7))] {
+            assert_eq!(read(expected), ((2, 4), 4, true), "{expected:?}");
+        }
+        assert_eq!(read(Some((200, 100))), stored);
+        assert_eq!(read(Some((4, 2))), stored);
+        with_exif(&path, Orientation::Rotate270);
+        assert_eq!(read(None), ((2, 4), 3, true));
+        with_exif(&path, Orientation::Rotate180);
+        assert_eq!(read_size(&path).unwrap(), (4, 2));
+        assert_eq!(read(Some((4, 2))), ((4, 2), 7, true), "both fit");
+        let picture = read_image(&path).unwrap();
+        assert_eq!((255.0 * picture.pixels[0]).round(), 7.0);
+
+        let jpeg = folder.path().join("a.jpg");
+        with_exif(&jpeg, Orientation::Rotate90);
+        assert_eq!(read_size(&jpeg).unwrap(), (2, 4));
+        let picture = read_image(&jpeg).unwrap();
+        assert_eq!((picture.width, picture.height), (2, 4));
+
+        with_exif(&path, Orientation::NoTransforms);
+        let mut notes = Vec::new();
+        read_map_for(&path, Some((2, 4)), &mut notes).unwrap();
+        assert!(notes.is_empty(), "{notes:?}");
     }
 }

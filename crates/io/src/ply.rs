@@ -108,6 +108,7 @@ pub fn read_ply(path: &Path) -> Result<Gaussians, IoError> {
             return Err(IoError::not_a_number(
                 path,
                 format!("{name} of vertex {row}"),
+                "leave the vertex out",
             ));
         }
         found.push(values);
@@ -146,7 +147,8 @@ pub(crate) fn read_points(path: &Path) -> Result<Vec<SparsePoint>, IoError> {
     for i in 0..x.len() {
         let position = DVec3::new(x[i], y[i], z[i]);
         if !position.is_finite() {
-            return Err(IoError::not_a_number(path, format!("vertex {i}")));
+            let (what, advice) = (format!("vertex {i}"), "leave the vertex out");
+            return Err(IoError::not_a_number(path, what, advice));
         }
         let color = colors.map(|c| c.map_or(0.5, |values| (values[i] / 255.0) as f32));
         if !color.iter().all(|c| (0.0..=1.0).contains(c)) {

@@ -169,7 +169,11 @@ fn check(array: &Array, first: Option<&Array>, path: &Path, what: &str) -> Resul
         !row[0].is_finite() || !row[1].is_finite() || row[2].is_nan() || row[3].is_nan()
     });
     match bad {
-        Some(row) => Err(IoError::not_a_number(path, format!("{what}, row {row},"))),
+        Some(row) => Err(IoError::not_a_number(
+            path,
+            format!("{what}, row {row},"),
+            "make the tracks again; a point that is not seen needs a place too, and a high third value (occlusion)",
+        )),
         None => Ok(()),
     }
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::folder::{PICTURES, list};
-use crate::picture::{read_image, read_map};
+use crate::picture::{read_image_for, read_map_for};
 use crate::resample::{shrink_image, shrink_map};
 use crate::{Image, IoError, Map, Scene, View};
 
@@ -30,12 +30,12 @@ impl Scene {
         let test: Vec<_> = self.test.iter().collect();
         let factor = self.downscale;
 
-        let sharp = self.part(&truth.join("images_sharp"), &training, |path| {
-            let image = read_image(path)?;
+        let sharp = self.part(&truth.join("images_sharp"), &training, |path, size| {
+            let image = read_image_for(path, Some(size), &mut Vec::new())?;
             Ok(((image.width, image.height), shrink_image(image, factor)))
         })?;
-        let map = |path: &Path| -> Result<((usize, usize), Map), IoError> {
-            let map = read_map(path)?;
+        let map = |path: &Path, size| -> Result<((usize, usize), Map), IoError> {
+            let map = read_map_for(path, Some(size), &mut Vec::new())?;
             Ok(((map.width, map.height), shrink_map(map, factor)))
         };
         Ok(Truth {
@@ -45,12 +45,12 @@ impl Scene {
         })
     }
 
-    /// One picture per view, by the view's name. `read` also tells the file's own size.
+    /// One picture per view, by the view's name. `read` is told the size that is expected, and also tells the file's own.
     fn part<T>(
         &self,
         folder: &Path,
         views: &[&View],
-        read: impl Fn(&Path) -> Result<((usize, usize), T), IoError>,
+        read: impl Fn(&Path, (usize, usize)) -> Result<((usize, usize), T), IoError>,
     ) -> Result<Option<Vec<T>>, IoError> {
         let listing = list(folder, PICTURES)?;
         if listing.files.is_empty() || views.is_empty() {
@@ -61,11 +61,11 @@ impl Scene {
         let paths: Vec<PathBuf> = listing.pick(&stems, folder, "truth for", advice)?;
         let mut pictures = Vec::with_capacity(views.len());
         for (path, view) in paths.iter().zip(views) {
-            let (found, picture) = read(path)?;
-            let expected = (view.camera.width, view.camera.height);
+            let camera = (view.camera.width, view.camera.height);
+            let expected = (camera.0 * self.downscale, camera.1 * self.downscale);
+            let (found, picture) = read(path, expected)?;
             let shrunk = (found.0 / self.downscale, found.1 / self.downscale);
-            if shrunk != expected {
-                let expected = (expected.0 * self.downscale, expected.1 * self.downscale);
+            if shrunk != camera {
                 return Err(IoError::size(path, "the picture", found, expected));
             }
             pictures.push(picture);

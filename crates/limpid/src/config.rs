@@ -1,6 +1,7 @@
 //! What a run was asked for: scene, backend and settings, from a file, flags and `--set`.
 
 use crate::failure::Failure;
+use crate::keys::{Mistake, RUN_KEYS, line_of, typed};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -8,9 +9,6 @@ use trainer::{Device, Settings};
 
 /// Name of the file that holds a run's [`Config`].
 pub(crate) const CONFIG_FILE: &str = "config.json";
-
-/// The keys of a config file that are not settings of the trainer.
-const RUN_KEYS: [&str; 5] = ["scene", "images", "downscale", "static", "backend"];
 
 /// Everything needed to repeat a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -150,12 +148,16 @@ impl Config {
         moved
     }
 
+    /// The same on another backend, if one is given.
+    pub(crate) fn on(mut self, backend: Option<Backend>) -> Self {
+        self.run.backend = backend.unwrap_or(self.run.backend);
+        self
+    }
+
     /// The scene of this run, loaded.
     pub(crate) fn open_scene(&self) -> Result<io::Scene, Failure> {
-        let dir =
-            self.run.scene.as_deref().ok_or(
-                "no scene: give --scene DIR, or --config FILE with a line `scene = \"DIR\"`",
-            )?;
+        let dir = self.run.scene.as_deref();
+        let dir = dir.ok_or("no scene: give its folder with --scene DIR")?;
         let options = io::LoadOptions {
             downscale: self.run.downscale.unwrap_or(1),
             images: self.run.images.clone(),
@@ -186,25 +188,36 @@ fn difference(key: &str, here: &serde_json::Value, there: &serde_json::Value) ->
     found.next()
 }
 
-fn read_json(path: &Path) -> Result<Config, Failure> {
-    let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
-    parse_json(&text, path)
+fn parse_json(text: &str, path: &Path) -> Result<Config, Failure> {
+    io::parse_json(text.as_bytes(), path).map_err(|error| match error {
+        io::IoError::Json {
+            key, problem, line, ..
+        } => {
+            let inner = ["settings.", "run."].map(|group| key.strip_prefix(group));
+            let key = inner.into_iter().flatten().next().unwrap_or(&key);
+            in_file(path, Some(line), &Mistake::new(key, &problem))
+        }
+        error => error.into(),
+    })
 }
 
-fn parse_json(text: &str, path: &Path) -> Result<Config, Failure> {
-    serde_json::from_str(text).map_err(|e| format!("{e}: {}", path.display()).into())
+/// A mistake with its file, and its line where that is known.
+fn in_file(path: &Path, line: Option<usize>, mistake: &Mistake) -> Failure {
+    let line = line.map_or_else(String::new, |line| format!("line {line}: "));
+    format!("{line}{mistake}: {}", path.display()).into()
 }
 
 /// A config file (or a run's `config.json`) as a table; a relative scene is relative to the file.
 pub(crate) fn read_table(path: &Path) -> Result<Table, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
     if path.extension().is_some_and(|e| e == "json") {
-        let config = read_json(path)?;
+        let config = parse_json(&text, path)?;
         let mut table = Table::try_from(&config.settings)?;
         merge(&mut table, Table::try_from(&config.run)?);
         return Ok(table);
     }
-    let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
     let mut table: Table = toml::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
+    split(table.clone()).map_err(|e| in_file(path, line_of(&text, &e.key), &e))?;
     if let Some(Value::String(scene)) = table.get("scene") {
         let joined = path.parent().unwrap_or(Path::new("")).join(scene);
         table.insert(
@@ -225,6 +238,10 @@ pub(crate) fn set(table: &mut Table, assignment: &str) -> Result<(), Failure> {
         .ok()
         .and_then(|mut t| t.remove("v"))
         .unwrap_or_else(|| Value::String(text.to_owned()));
+    // By itself first, where it is known who said it.
+    let mut alone = Table::new();
+    insert(&mut alone, key.trim(), value.clone())?;
+    split(alone).map_err(|e| format!("--set {assignment}: {e}"))?;
     insert(table, key.trim(), value)
 }
 
@@ -259,21 +276,25 @@ pub(crate) fn merge(base: &mut Table, over: Table) {
     }
 }
 
-/// Splits a table into run options and settings; what it leaves out has its default.
-pub(crate) fn from_table(mut table: Table, defaults: &Settings) -> Result<Config, Failure> {
+/// Run options and settings; what the table leaves out has its default.
+fn split(mut table: Table) -> Result<Config, Mistake> {
     let mut run = Table::new();
     for key in RUN_KEYS {
         if let Some(value) = table.remove(key) {
             run.insert(key.to_owned(), value);
         }
     }
-    let mut settings = Table::try_from(defaults)?;
-    merge(&mut settings, table);
-    let describe = |e: toml::de::Error| format!("settings: {}", e.message());
-    let config = Config {
-        run: run.try_into().map_err(describe)?,
-        settings: settings.try_into().map_err(describe)?,
-    };
+    Ok(Config {
+        run: typed(run)?,
+        settings: typed(table)?,
+    })
+}
+
+/// Run options and settings; what the table leaves out is as in `defaults`.
+pub(crate) fn from_table(table: Table, defaults: &Settings) -> Result<Config, Failure> {
+    let mut all = Table::try_from(defaults)?;
+    merge(&mut all, table);
+    let config = split(all).map_err(|e| e.to_string())?;
     config.settings.validate()?;
     Ok(config)
 }
@@ -303,18 +324,114 @@ mod tests {
 
     #[test]
     fn mistakes_are_named() {
-        let mistake = |assignment: &str| {
+        for (assignment, told) in [
+            ("blur", &["key=value"][..]),
+            ("blur.kernel_size=8", &["blur.kernel_size"]),
+            (
+                "blur.kernel_size=abc",
+                &[
+                    "--set blur.kernel_size=abc",
+                    "`blur.kernel_size`",
+                    "\"abc\"",
+                    "a whole number",
+                    "such as 9",
+                ],
+            ),
+            ("blur.kernal_size=7", &["did you mean `blur.kernel_size`?"]),
+            ("blur=7", &["`blur`", "a group of settings"]),
+            ("iterations.more=7", &["`iterations`", "a whole number"]),
+            ("loss.gauge=true", &["`loss.gauge`", "expected a number"]),
+            ("blur.model=camara", &["`blur.model`", "camara", "`camera`"]),
+            ("downscale=-1", &["`downscale`", "-1"]),
+            ("backend=gpu", &["`backend`", "`wgpu`"]),
+        ] {
             let mut t = Table::new();
-            set(&mut t, assignment)
-                .and_then(|()| from_table(t, &Settings::default()))
-                .expect_err("a mistake")
-                .to_string()
+            let failed = set(&mut t, assignment).and_then(|()| from_table(t, &Settings::default()));
+            let text = failed.expect_err("a mistake").to_string();
+            for part in told {
+                assert!(text.contains(part), "{assignment}: {text}");
+            }
+        }
+    }
+
+    #[test]
+    fn mistakes_in_files_are_named_with_their_line() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let whole = Config {
+            run: RunOptions::default(),
+            settings: Settings::default(),
         };
-        assert!(mistake("blur.kernel=7").contains("kernel"));
-        assert!(mistake("blur.kernel_size=8").contains("blur.kernel_size"));
-        assert!(mistake("blur").contains("key=value"));
-        assert!(mistake("iterations=many").contains("invalid type"));
-        assert!(mistake("downscale=-1").contains("-1"));
+        let json = serde_json::to_string_pretty(&whole).expect("json");
+        let at = json
+            .lines()
+            .position(|line| line.contains("\"kernel_size\""));
+        let line = format!("line {}: ", at.expect("it has all settings") + 1);
+        let size = format!("\"kernel_size\": {}", whole.settings.blur.kernel_size);
+        let in_json = |with: &str| json.replace(&size, with);
+        for (name, text, told) in [
+            (
+                "a.toml",
+                "iterations = 500\n[blur]\nkernel_size = \"abc\"\n".to_owned(),
+                [
+                    "line 3: ",
+                    "`blur.kernel_size`",
+                    "\"abc\"",
+                    "a whole number",
+                ],
+            ),
+            (
+                "a.toml",
+                "\n[blur]\nkernal_size = 7\n".to_owned(),
+                [
+                    "line 3: ",
+                    "`blur.kernal_size`",
+                    "did you mean",
+                    "`blur.kernel_size`",
+                ],
+            ),
+            (
+                "a.toml",
+                "backend = 3\n".to_owned(),
+                ["line 1: ", "`backend`", "expected a name", ""],
+            ),
+            (
+                "a.toml",
+                "[blur]\nkernel_size = \n".to_owned(),
+                ["line 2", "kernel_size", "", ""],
+            ),
+            (
+                "a.json",
+                in_json("\"kernel_size\": \"abc\""),
+                [&line, "`blur.kernel_size`", "\"abc\"", "a whole number"],
+            ),
+            (
+                "a.json",
+                in_json("\"kernal_size\": 7"),
+                [
+                    &line,
+                    "`blur.kernal_size`",
+                    "did you mean",
+                    "`blur.kernel_size`",
+                ],
+            ),
+            (
+                "a.json",
+                in_json("\"kernel_size\": NaN"),
+                [&line, "`blur.kernel_size`", "NaN", "no number"],
+            ),
+            (
+                "a.json",
+                "{}".to_owned(),
+                ["line 1: ", "missing", "run", ""],
+            ),
+        ] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).expect("a file");
+            let failed = read_table(&path).expect_err("a mistake").to_string();
+            for part in told.into_iter().chain([name]) {
+                assert!(failed.contains(part), "{part}: {failed}");
+            }
+        }
     }
 
     #[test]

@@ -16,6 +16,9 @@ pub(crate) struct DevicesArguments {
     /// Make its pictures smaller by this factor.
     #[arg(long, value_name = "F", requires = "scene")]
     downscale: Option<usize>,
+    /// Ignore its movers.
+    #[arg(long = "static", requires = "scene")]
+    is_static: bool,
 }
 
 /// What a training may need at most.
@@ -34,6 +37,7 @@ impl Need {
         let run = RunOptions {
             scene: arguments.scene.clone(),
             downscale: arguments.downscale,
+            is_static: arguments.is_static,
             ..RunOptions::default()
         };
         let config = Config { run, settings };

@@ -1,6 +1,6 @@
 //! `limpid eval`.
 
-use crate::config::Config;
+use crate::config::{Backend, Config};
 use crate::failure::Failure;
 use crate::outputs;
 use crate::render;
@@ -21,6 +21,9 @@ pub(crate) struct EvalArguments {
     /// A relative path that is not found is looked for in the scene's folder.
     #[arg(long, value_name = "FILE")]
     colour_map: Option<PathBuf>,
+    /// Where tensors live [default: where they did in training].
+    #[arg(long)]
+    backend: Option<Backend>,
     /// Write the scores in the form of metrics.json: to this file, or without one to standard output in the place of text.
     #[arg(long, value_name = "FILE", num_args = 0..=1)]
     json: Option<Option<PathBuf>>,
@@ -34,7 +37,7 @@ struct ColorMapFile {
 }
 
 pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
-    let config = Config::of_run(&arguments.run)?;
+    let config = Config::of_run(&arguments.run)?.on(arguments.backend);
     let run = render::open(&arguments.run, &config)?;
     let scene = config.at(arguments.scene.as_deref()).open_scene()?;
     let colors = match &arguments.colour_map {
@@ -45,10 +48,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
             } else {
                 scene.root.join(given)
             };
-            let text =
-                std::fs::read_to_string(&path).map_err(|e| format!("{e}: {}", path.display()))?;
-            let file: ColorMapFile =
-                serde_json::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
+            let file: ColorMapFile = io::read_json(&path)?;
             Some(ColorMap {
                 gain: file.gain,
                 offset: file.offset,

@@ -27,7 +27,7 @@ impl Lock {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
                 return Err(format!(
-                    "another run is writing to {}; wait for it, or choose another folder with --out",
+                    "another run is writing to {}; wait for it, or stop it; a new run can go to another folder (--out)",
                     folder.display()
                 )
                 .into());

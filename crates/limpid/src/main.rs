@@ -5,6 +5,7 @@ mod config;
 mod devices;
 mod eval;
 mod failure;
+mod keys;
 mod lock;
 mod outputs;
 mod render;

@@ -39,7 +39,7 @@ pub(crate) fn check_folder(out: &Path, replace: bool) -> Result<(), Failure> {
     let folder = out.display();
     if !replace {
         return Err(format!(
-            "{folder} holds the results of another run ({name}); --resume goes on with it, --force replaces it, --out chooses another folder"
+            "{folder} holds the results of another run ({name}); --resume without any settings goes on with it, --force replaces it, --out chooses another folder"
         )
         .into());
     }

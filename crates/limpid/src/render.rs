@@ -1,6 +1,6 @@
 //! `limpid render`.
 
-use crate::config::Config;
+use crate::config::{Backend, Config};
 use crate::failure::{Failure, with_causes};
 use crate::outputs;
 use crate::say::say;
@@ -17,6 +17,9 @@ pub(crate) struct RenderArguments {
     /// Folder of the scene, where it is no longer at the place it was trained from.
     #[arg(long, value_name = "DIR")]
     scene: Option<PathBuf>,
+    /// Where tensors live [default: where they did in training].
+    #[arg(long)]
+    backend: Option<Backend>,
     /// Folder for the pictures and PLY files [default: RUN/renders].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -45,7 +48,7 @@ pub(crate) struct RenderArguments {
 }
 
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
-    let config = Config::of_run(&arguments.run)?;
+    let config = Config::of_run(&arguments.run)?.on(arguments.backend);
     let run = open(&arguments.run, &config)?;
     for (flag, times) in [("--at", &arguments.at), ("--ply-at", &arguments.ply_at)] {
         times

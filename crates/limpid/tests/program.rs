@@ -102,7 +102,38 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
         said.contains("`blur.kernel_size` is 5 here and 9"),
         "{said}"
     );
-    fs::write(out.join("config.json"), config)?;
+    fs::write(out.join("config.json"), &config)?;
+
+    // Where the scene is not the run's, what is advised is what each command takes.
+    let mut edited: serde_json::Value = serde_json::from_str(&config)?;
+    edited["run"]["downscale"] = 4.into();
+    fs::write(out.join("config.json"), edited.to_string())?;
+    let resume = ["train", "--resume", "--out", path(&out)];
+    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+    let render = ["render", path(&out), "--scene", demo];
+    for command in [&resume[..], &["eval", path(&out)], &render] {
+        let refused = output(command)?;
+        let said = text(&refused.stderr);
+        assert!(!refused.status.success(), "{command:?}");
+        assert!(
+            said.contains("--scene") && !said.contains("--downscale"),
+            "{said}"
+        );
+    }
+    fs::write(out.join("config.json"), &config)?;
+    for command in [["eval", path(&out)], ["render", path(&out)]] {
+        for backend in ["ndarray", "wgpu", "cuda"] {
+            let tried = limpid(&command).args(["--backend", backend]).output()?;
+            let said = text(&tried.stderr);
+            assert!(
+                tried.status.success() || said.contains("--backend"),
+                "{said}"
+            );
+            assert!(!said.contains("unexpected argument"), "{said}");
+        }
+        let told = limpid(&command).args(["--backend", "flex"]).output()?;
+        assert!(told.status.success(), "{}", text(&told.stderr));
+    }
 
     let scores = output(&["eval", path(&out)])?;
     assert!(scores.status.success(), "{}", text(&scores.stderr));
@@ -118,6 +149,30 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
             assert!(!refused.status.success(), "{flag} {time}");
             assert!(said.contains(flag) && said.contains("from 0 to"), "{said}");
         }
+    }
+    Ok(())
+}
+
+#[test]
+fn a_mistake_in_a_setting_is_named_with_its_place() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("a.toml");
+    fs::write(&file, "iterations = 500\n[blur]\nkernal_size = 7\n")?;
+    let train = ["train", "--scene", path(folder.path())];
+    let wrong = limpid(&train)
+        .args(["--set", "blur.kernel_size=abc"])
+        .output()?;
+    let said = text(&wrong.stderr);
+    assert!(!wrong.status.success());
+    assert!(
+        said.contains("--set blur.kernel_size=abc: `blur.kernel_size`"),
+        "{said}"
+    );
+    let wrong = limpid(&train).args(["--config", path(&file)]).output()?;
+    let said = text(&wrong.stderr);
+    assert!(!wrong.status.success());
+    for part in ["line 3", "a.toml", "did you mean `blur.kernel_size`?"] {
+        assert!(said.contains(part), "{said}");
     }
     Ok(())
 }

@@ -87,7 +87,7 @@ pub enum TrainError {
     },
     /// The device failed: it is lost, or has no memory left.
     #[error(
-        "the device failed ({reason}); a run goes on from its last checkpoint, on another device too: `--resume --backend flex`"
+        "the device failed ({reason}); --backend flex takes the CPU; a training goes on there from its last checkpoint by `limpid train --resume --backend flex`"
     )]
     Device {
         /// What it says.
@@ -188,7 +188,7 @@ pub enum OtherScene {
     /// It has another number of frames.
     #[error(
         "the run was trained on {trained} frames and the scene has {found}; \
-         give the scene (and --downscale, --images) of the run"
+         --scene must be the scene that it was trained on, as it was then"
     )]
     OtherFrames {
         /// Frames of the run.
@@ -199,7 +199,7 @@ pub enum OtherScene {
     /// A view differs in anything but its picture.
     #[error(
         "view {view} has another name, time, camera, pose or size than in training; \
-         give the scene (and --downscale, --images) of the run"
+         --scene must be the scene that it was trained on, as it was then"
     )]
     OtherView {
         /// Name of the first view that differs.
@@ -207,7 +207,7 @@ pub enum OtherScene {
     },
     /// Its depth says that it has another size.
     #[error(
-        "the scene's size is {found} and was {trained} in training; give the scene (and --downscale, --images) of the run"
+        "the scene's size is {found} and was {trained} in training; --scene must be the scene that it was trained on, as it was then"
     )]
     OtherSize {
         /// Size of the scene.

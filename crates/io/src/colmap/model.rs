@@ -151,7 +151,11 @@ pub(super) fn cam_from_world(
 pub(super) fn point(position: [f64; 3], rgb: [u8; 3], path: &Path) -> Result<SparsePoint, IoError> {
     let position = DVec3::from_array(position);
     if !position.is_finite() {
-        return Err(IoError::not_a_number(path, "a point's position"));
+        return Err(IoError::not_a_number(
+            path,
+            "a point's position",
+            "make the model again, or leave the point out",
+        ));
     }
     Ok(SparsePoint {
         position,

@@ -134,10 +134,11 @@ fn planned_view(
         let what = format!("image {name} has camera {id}, which is not there");
         IoError::malformed(&model.images_path, what)
     })?;
+    let who = format!("camera {}", posed.camera_id);
     Ok(PlannedView {
         name: name.into(),
         image,
-        camera: lens.clone().into_pinhole(&model.cameras_path)?,
+        camera: lens.clone().into_pinhole(&who, &model.cameras_path)?,
         camera_file: model.cameras_path.clone(),
         cam_from_world: posed.cam_from_world,
         time,

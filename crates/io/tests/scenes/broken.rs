@@ -200,6 +200,21 @@ fn wrong_sizes_are_named() {
         assert!(matches!(error, IoError::Size { .. }), "{error}");
         assert!(error.to_string().contains("8x6, expected 16x12"), "{error}");
     }
+    // The odd one is named where it is the first too, which has depth, and where sizes are even in number.
+    for (others, odd) in [(vec![], 0), (vec![], 2), (vec![2], 0)] {
+        let som = Som::new();
+        for other in others {
+            make::picture(
+                &som.path(&format!("images/{other:05}.png")),
+                (32, 24),
+                |_, _| 9,
+            );
+        }
+        let file = format!("images/{odd:05}.png");
+        make::picture(&som.path(&file), (WIDTH / 2, HEIGHT / 2), |_, _| 255);
+        let error = error_names(som.root(), &file, "one of another size");
+        assert!(error.to_string().contains("8x6, expected 16x12"), "{error}");
+    }
     let som = Som::new();
     let file = format!("{DEPTH}/00001.npy");
     for shape in [
@@ -233,6 +248,7 @@ fn not_a_number_is_named() {
     let error = error_names(som.root(), &file, "NaN depth");
     assert!(matches!(error, IoError::NotANumber { .. }), "{error}");
     assert!(error.to_string().contains("column 3, row 1"), "{error}");
+    assert!(error.to_string().contains("with 0"), "{error}");
 
     let som = Som::new();
     let file = "flow3d_preprocessed/2d_tracks/00001_00000.npy";
@@ -242,6 +258,8 @@ fn not_a_number_is_named() {
     );
     let error = error_names(som.root(), file, "NaN track");
     assert!(error.to_string().contains("row 1"), "{error}");
+    // There, 0 is a place.
+    assert!(!error.to_string().contains("with 0"), "{error}");
 
     for at in [8 + 4, 8 + 4 + 32] {
         let som = Som::new();
@@ -251,12 +269,24 @@ fn not_a_number_is_named() {
         fs::write(&path, data).unwrap();
         error_names(som.root(), "images.bin", "NaN pose");
     }
-    for focal in [f64::NAN, 0.0, -5.0, f64::INFINITY] {
+    for (focal, fault) in [
+        (f64::NAN, "NaN is not a number"),
+        (0.0, "0 is not over zero"),
+        (-5.0, "-5 is not over zero"),
+        (f64::INFINITY, "inf is no lens's"),
+    ] {
         let som = Som::new();
         let names = make::names(2 * FRAMES);
-        make::colmap_binary(&som.path(SPARSE), &names, (1, &[focal, 20.0, 8.0, 6.0]));
-        error_names(som.root(), "cameras.bin", &format!("focal length {focal}"));
+        make::colmap_binary(&som.path(SPARSE), &names, (1, &[20.0, focal, 8.0, 6.0]));
+        let why = format!("camera 1: focal length {fault}");
+        let error = error_names(som.root(), "cameras.bin", &why);
+        assert!(error.to_string().contains(&why), "{error}");
     }
+    let som = Som::new();
+    let camera = (1, &[20.0, 20.0, 8.0, f64::NAN][..]);
+    make::colmap_binary(&som.path(SPARSE), &make::names(2 * FRAMES), camera);
+    let error = error_names(som.root(), "cameras.bin", "NaN centre");
+    assert!(error.to_string().contains("coordinate NaN"), "{error}");
 }
 
 #[test]
@@ -276,6 +306,11 @@ fn other_kinds_of_files_are_named() {
     let som = Som::new();
     fs::write(som.path("transforms.json"), "{\"frames\": [").unwrap();
     error_names(som.root(), "transforms.json", "half a file");
+
+    // A file in the place of the scene's folder.
+    let file = som.path("transforms.json");
+    let error = error_names(&file, "transforms.json", "a file");
+    assert!(error.to_string().contains("scene is a folder"), "{error}");
 }
 
 /// Neither what has no end nor what never begins keeps the loader busy.

@@ -41,6 +41,22 @@ pub(crate) fn picture(path: &Path, size: (usize, usize), value: impl Fn(usize, u
         .unwrap();
 }
 
+/// A grey PNG that EXIF wants turned: 6 is a quarter to the right.
+pub(crate) fn exif_picture(path: &Path, size: (usize, usize), orientation: u8) {
+    let (w, h) = (size.0 as u32, size.1 as u32);
+    let mut info = png::Info::with_size(w, h);
+    info.bit_depth = png::BitDepth::Eight;
+    // TIFF: little-endian, the directory at 8, one entry: tag 0x112 of one 16-bit number.
+    let mut exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
+    exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0]);
+    info.exif_metadata = Some(exif.into());
+    let file = fs::File::create(path).unwrap();
+    let encoder = png::Encoder::with_info(file, info).unwrap();
+    let mut writer = encoder.write_header().unwrap();
+    let greys: Vec<u8> = (0..size.0 * size.1).map(|i| i as u8).collect();
+    writer.write_image_data(&greys).unwrap();
+}
+
 /// A colour picture with a ramp in it.
 pub(crate) fn ramp(path: &Path, frame: usize) {
     fs::create_dir_all(path.parent().unwrap()).unwrap();

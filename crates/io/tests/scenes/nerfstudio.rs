@@ -216,6 +216,72 @@ fn intrinsics_of_a_frame_win() {
 }
 
 #[test]
+fn numbers_that_are_none_are_named() {
+    let folder = folder(|_| ());
+    let path = folder.path().join("transforms.json");
+    let good = fs::read_to_string(&path).unwrap();
+    for (from, to, told) in [
+        (
+            "\"fl_x\":20.0",
+            "\"fl_x\":NaN",
+            ["`fl_x`", "NaN is no number in JSON"],
+        ),
+        (
+            "\"fl_x\":20.0",
+            "\"fl_x\":\"20\"",
+            ["`fl_x` of images/f0.png", "not a number"],
+        ),
+        (
+            "[[1,0,0,3]",
+            "[[1,0,0,-Infinity]",
+            ["`frames[3].transform_matrix[0][3]`", "-Infinity is no"],
+        ),
+        (
+            "[[1,0,0,3]",
+            "[[1,0,0,null]",
+            ["`frames[3].transform_matrix[0][3]`", "invalid type: null"],
+        ),
+    ] {
+        assert!(good.contains(from), "{good}");
+        fs::write(&path, good.replacen(from, to, 1)).unwrap();
+        let text = Scene::open(folder.path()).unwrap_err().to_string();
+        for part in told.into_iter().chain(["transforms.json"]) {
+            assert!(text.contains(part), "{to}: {text}");
+        }
+    }
+    fs::write(&path, good.replacen("\"fl_x\":20.0", "\"fl_x\":0", 1)).unwrap();
+    let text = Scene::open(folder.path()).unwrap_err().to_string();
+    assert!(
+        text.contains("images/f0.png: focal length 0 is not over zero"),
+        "{text}"
+    );
+}
+
+#[test]
+fn pictures_without_a_camera_size_have_that_of_the_turned_ones() {
+    let folder = folder(|t| {
+        t.as_object_mut()
+            .unwrap()
+            .retain(|key, _| key != "w" && key != "h");
+        t.as_object_mut()
+            .unwrap()
+            .retain(|key, _| key != "cx" && key != "cy");
+    });
+    for i in 0..4 {
+        make::exif_picture(
+            &folder.path().join(format!("images/f{i}.png")),
+            (HEIGHT, WIDTH),
+            6,
+        );
+    }
+    let scene = Scene::open(folder.path()).unwrap();
+    let view = &scene.frames[0].view;
+    assert_eq!((view.camera.width, view.camera.height), (WIDTH, HEIGHT));
+    assert_eq!((view.image.width, view.image.height), (WIDTH, HEIGHT));
+    assert_eq!(view.camera.cx, WIDTH as f64 / 2.0);
+}
+
+#[test]
 fn distortion_is_refused() {
     for key in ["k1", "k2", "k3", "k4", "p1", "p2"] {
         open(|t| t[key] = 0.0.into()).unwrap();

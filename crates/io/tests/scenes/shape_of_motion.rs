@@ -384,6 +384,63 @@ fn masks_of_small_numbers_move_where_they_are_not_zero() {
 
 /// One bit a pixel packs eight times better than one byte, and is no broken file for that.
 #[test]
+fn masks_in_the_alpha_channel_are_read() {
+    let som = Som::new();
+    let plain = Scene::open(som.root()).unwrap();
+    for i in 0..FRAMES {
+        let path = som.path(&format!("masks/{i:05}.png"));
+        image::RgbaImage::from_fn(WIDTH as u32, HEIGHT as u32, |x, _| {
+            image::Rgba([0, 0, 0, 255 * u8::from(x < 5)])
+        })
+        .save(path)
+        .unwrap();
+    }
+    let scene = Scene::open(som.root()).unwrap();
+    for (frame, wanted) in scene.frames.iter().zip(&plain.frames) {
+        assert_eq!(frame.mask, wanted.mask);
+    }
+    let told = |n: &&String| n.contains("alpha channel");
+    assert_eq!(
+        scene.notes.iter().filter(told).count(),
+        1,
+        "{:?}",
+        scene.notes
+    );
+}
+
+#[test]
+fn pictures_are_turned_by_exif_as_their_cameras_want_it() {
+    // The cameras are for 16x12. Pictures that are so as stored stay, upright ones are turned; masks and truth go along.
+    for (stored, turned) in [((WIDTH, HEIGHT), false), ((HEIGHT, WIDTH), true)] {
+        let som = Som::new();
+        for i in 0..FRAMES {
+            for folder in ["images", "masks", "truth/images_sharp"] {
+                make::exif_picture(&som.path(&format!("{folder}/{i:05}.png")), stored, 6);
+            }
+        }
+        let scene = Scene::open(som.root()).unwrap();
+        let grey = |at: usize| at as f32 / 255.0;
+        let corner = grey(if turned { HEIGHT * (WIDTH - 1) } else { 0 });
+        for (frame, sharp) in scene
+            .frames
+            .iter()
+            .zip(scene.truth().unwrap().sharp.unwrap())
+        {
+            let image = &frame.view.image;
+            assert_eq!((image.width, image.height), (WIDTH, HEIGHT));
+            assert_eq!(image.pixels[0], corner);
+            assert_eq!(image, &sharp);
+            let mask = frame.mask.as_ref().unwrap();
+            assert_eq!(mask.values[0], corner);
+        }
+        let told = |n: &&String| n.contains("EXIF");
+        let notes: Vec<_> = scene.notes.iter().filter(told).collect();
+        assert_eq!(notes.len(), 1, "{notes:?}");
+        assert_eq!(notes[0].contains("are turned"), turned, "{notes:?}");
+    }
+}
+
+#[test]
 fn masks_of_one_bit_are_read() {
     let som = Som::new();
     let (w, h) = (640, 480);

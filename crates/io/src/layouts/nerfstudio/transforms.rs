@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use serde::Deserialize;
+use serde_json::{Map, Value};
 use splat_core::Camera;
 
 use crate::IoError;
-use crate::bytes::read_file;
 use crate::camera_model::{Distortion, Lens};
+use crate::json::read_json;
 use crate::picture::read_size;
 use crate::plan::PlannedView;
 
@@ -17,8 +18,9 @@ pub(super) struct Transforms {
     /// The file itself.
     #[serde(skip)]
     pub(super) path: PathBuf,
+    /// All else: intrinsics.
     #[serde(flatten)]
-    intrinsics: Intrinsics,
+    others: Map<String, Value>,
     pub(super) depth_unit_scale_factor: Option<f64>,
     pub(super) train_filenames: Option<Vec<String>>,
     pub(super) test_filenames: Option<Vec<String>>,
@@ -35,39 +37,15 @@ pub(super) struct Entry {
     pub(super) time: Option<f64>,
     pub(super) split: Option<String>,
     transform_matrix: Vec<Vec<f64>>,
+    /// All else: intrinsics.
     #[serde(flatten)]
-    intrinsics: Intrinsics,
-}
-
-#[derive(Clone, Default, Deserialize)]
-struct Intrinsics {
-    camera_model: Option<String>,
-    camera_angle_x: Option<f64>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    k5: Option<f64>,
-    k6: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
+    others: Map<String, Value>,
 }
 
 impl Transforms {
     pub(super) fn read(path: PathBuf) -> Result<Self, IoError> {
-        match serde_json::from_slice::<Self>(&read_file(&path)?) {
-            Ok(transforms) => Ok(Self { path, ..transforms }),
-            Err(e) => Err(IoError::malformed(
-                &path,
-                format!("not nerfstudio's transforms.json: {e}"),
-            )),
-        }
+        let transforms: Self = read_json(&path)?;
+        Ok(Self { path, ..transforms })
     }
 
     /// The view of a frame with its own picture.
@@ -81,7 +59,9 @@ impl Transforms {
         let image = root.join(&entry.file_path);
         Ok(PlannedView {
             name,
-            camera: self.lens(entry, &image)?.into_pinhole(&self.path)?,
+            camera: self
+                .lens(entry, &image)?
+                .into_pinhole(&entry.file_path, &self.path)?,
             image,
             camera_file: self.path.clone(),
             cam_from_world: cam_from_world(entry, &self.path)?,
@@ -90,38 +70,55 @@ impl Transforms {
     }
 
     fn lens(&self, entry: &Entry, image: &Path) -> Result<Lens, IoError> {
-        let (own, global, path) = (&entry.intrinsics, &self.intrinsics, &self.path);
-        let get = |key: fn(&Intrinsics) -> Option<f64>| key(own).or(key(global));
-        let or_zero = |key: fn(&Intrinsics) -> Option<f64>| get(key).unwrap_or(0.0);
+        let path = &self.path;
+        let is_there = |value: &&Value| !value.is_null();
+        let find = |key: &str| {
+            let own = entry.others.get(key).filter(is_there);
+            own.or(self.others.get(key).filter(is_there))
+        };
+        let wrong = |key: &str, wanted: &str| {
+            let what = format!("`{key}` of {} is not {wanted}", entry.file_path);
+            IoError::malformed(path, what)
+        };
+        let get = |key: &str| -> Result<Option<f64>, IoError> {
+            let number = |value: &Value| value.as_f64().ok_or_else(|| wrong(key, "a number"));
+            find(key).map(number).transpose()
+        };
+        let or_zero = |key: &str| -> Result<f64, IoError> { Ok(get(key)?.unwrap_or(0.0)) };
         let side = |value: f64| (1.0..=1e6).contains(&value).then_some(value as usize);
-        let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
+        let (width, height) = match (get("w")?, get("h")?) {
             (Some(w), Some(h)) => side(w).zip(side(h)).ok_or_else(|| {
                 IoError::malformed(path, format!("{} has w {w} and h {h}", entry.file_path))
             })?,
             _ => read_size(image)?,
         };
         let by_angle = |angle: f64| 0.5 * width as f64 / (0.5 * angle).tan();
-        let Some(fx) = get(|i| i.fl_x).or(get(|i| i.camera_angle_x).map(by_angle)) else {
+        let Some(fx) = get("fl_x")?.or(get("camera_angle_x")?.map(by_angle)) else {
             let name = &entry.file_path;
             let what = format!("{name} has no fl_x, and there is none for all frames");
             return Err(IoError::malformed(path, what));
         };
-        let model = own.camera_model.clone().or(global.camera_model.clone());
-        let model = model.unwrap_or_else(|| "OPENCV".into());
+        let model = match find("camera_model") {
+            Some(value) => {
+                let name = value.as_str();
+                name.ok_or_else(|| wrong("camera_model", "a name"))?
+            }
+            None => "OPENCV",
+        };
         let [k1, k2, k3, k4] = [
-            or_zero(|i| i.k1),
-            or_zero(|i| i.k2),
-            or_zero(|i| i.k3),
-            or_zero(|i| i.k4),
+            or_zero("k1")?,
+            or_zero("k2")?,
+            or_zero("k3")?,
+            or_zero("k4")?,
         ];
-        let tangential = [or_zero(|i| i.p1), or_zero(|i| i.p2)];
-        let distortion = match model.as_str() {
+        let tangential = [or_zero("p1")?, or_zero("p2")?];
+        let distortion = match model {
             "OPENCV_FISHEYE" => Distortion::Fisheye {
                 k: [k1, k2, k3, k4],
             },
             "FULL_OPENCV" => Distortion::Radial {
                 num: [k1, k2, k3, 0.0],
-                den: [k4, or_zero(|i| i.k5), or_zero(|i| i.k6)],
+                den: [k4, or_zero("k5")?, or_zero("k6")?],
                 tangential,
             },
             "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "RADIAL" | "SIMPLE_RADIAL" => {
@@ -140,13 +137,13 @@ impl Transforms {
             }
         };
         Ok(Lens {
-            model,
+            model: model.into(),
             camera: Camera::pinhole(
                 [width, height],
-                [fx, get(|i| i.fl_y).unwrap_or(fx)],
+                [fx, get("fl_y")?.unwrap_or(fx)],
                 [
-                    get(|i| i.cx).unwrap_or(width as f64 / 2.0),
-                    get(|i| i.cy).unwrap_or(height as f64 / 2.0),
+                    get("cx")?.unwrap_or(width as f64 / 2.0),
+                    get("cy")?.unwrap_or(height as f64 / 2.0),
                 ],
             ),
             distortion,
