@@ -4,7 +4,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use io::{Map, Scene, TrackSample};
 use std::path::{Path, PathBuf};
 use trainer::check::{Verdict, check};
-use trainer::{SceneProblem, TrainError, survey};
+use trainer::{Device, SceneProblem, Settings, TrainError, Trainer, survey};
 
 /// The demo, and all scenes of the folder that `LIMPID_SCENES` names.
 fn scenes() -> Vec<(String, Scene)> {
@@ -200,4 +200,19 @@ fn movers_that_cannot_be_lifted_are_an_error_that_says_what_is_missing() {
         let is_told = matches!(error, TrainError::Scene(SceneProblem::MoversWithoutDepth));
         assert!(is_told, "{error}");
     }
+}
+
+#[test]
+fn tracks_that_cannot_be_lifted_are_an_error_with_their_numbers() {
+    let (_, mut scene) = scenes().swap_remove(0);
+    tracks_by(&mut scene, |s| s.x += 1e4);
+    let settings = Settings {
+        iterations: 200,
+        ..Settings::default()
+    };
+    let error = Trainer::new(scene, settings, &Device::flex()).expect_err("no track");
+    let TrainError::Scene(SceneProblem::TracksNotLifted { found }) = error else {
+        panic!("{error}");
+    };
+    assert!(found.visible > 0 && found.inside == 0, "{found}");
 }

@@ -1,0 +1,128 @@
+//! A run that is killed at random moments and goes on each time ends as one that was left alone, bit for bit.
+//!
+//! `LIMPID_KILLS` says how many kills; 6 without it. RESULTS and RELIABILITY speak of 200.
+
+use std::error::Error;
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+const KILLS: usize = 6;
+const SEED: u64 = 1;
+
+/// The demo at 32x18 with kernels and unseen views, the shortest run there is, and a checkpoint every few iterations.
+fn new_run(out: &Path, more: &[&str]) -> Command {
+    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_limpid"));
+    command.args([
+        "train",
+        "--scene",
+        demo,
+        "--downscale",
+        "5",
+        "--iterations",
+        "200",
+    ]);
+    command.args(["--blur", "kernels", "--set", "checkpoint_every=7", "--out"]);
+    command.arg(out).args(more);
+    command
+}
+
+fn resumed(out: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_limpid"));
+    command.args(["train", "--resume", "--out"]).arg(out);
+    command
+}
+
+/// Starts it, and kills it after a while, unless it is done by then. Says whether it was killed.
+fn killed(mut command: Command, after: Duration) -> Result<bool, Box<dyn Error>> {
+    let mut child: Child = command.stderr(Stdio::null()).spawn()?;
+    std::thread::sleep(after);
+    if let Some(status) = child.try_wait()? {
+        assert!(status.success(), "{command:?}: {status}");
+        return Ok(false);
+    }
+    child.kill()?;
+    child.wait()?;
+    Ok(true)
+}
+
+/// Numbers in [0, 1) that look random (a linear congruential generator).
+struct Chance(u64);
+
+impl Chance {
+    fn next(&mut self) -> f64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+#[test]
+fn runs_that_are_killed_end_as_those_that_are_not() -> Result<(), Box<dyn Error>> {
+    let wanted = match std::env::var("LIMPID_KILLS") {
+        Ok(number) => number.parse()?,
+        Err(_) => KILLS,
+    };
+    let folder = tempfile::tempdir()?;
+    let alone = folder.path().join("alone");
+    let started = Instant::now();
+    assert!(
+        new_run(&alone, &[])
+            .stderr(Stdio::null())
+            .status()?
+            .success()
+    );
+    let whole = started.elapsed();
+    // Parameters to the last bit, and what they look like.
+    let results = ["scene.ply", "renders/blur.png"];
+    let expected: Vec<Vec<u8>> = results
+        .iter()
+        .map(|name| fs::read(alone.join(name)))
+        .collect::<Result<_, _>>()?;
+
+    let (mut chance, mut kills, mut runs, mut begun_anew) = (Chance(SEED), 0, 0, 0);
+    while kills < wanted {
+        let out = folder.path().join("run");
+        let mut command = new_run(&out, &["--force"]);
+        loop {
+            // Some right at the start, some after the last iteration.
+            let after = whole.mul_f64(1.2 * chance.next().powi(2));
+            if kills == wanted || !killed(command, after)? {
+                break;
+            }
+            kills += 1;
+            let is_saved = out.join("checkpoint").read_dir().is_ok_and(|files| {
+                let names = files.flatten().map(|file| file.file_name());
+                names.into_iter().any(|name| {
+                    name.to_string_lossy().ends_with(".safetensors")
+                        && !name.to_string_lossy().starts_with('.')
+                })
+            });
+            command = if is_saved {
+                resumed(&out)
+            } else {
+                begun_anew += 1;
+                new_run(&out, &["--force"])
+            };
+        }
+        assert!(
+            resumed(&out).stderr(Stdio::null()).status()?.success(),
+            "after {kills} kills"
+        );
+        for (name, expected) in results.iter().zip(&expected) {
+            assert!(
+                fs::read(out.join(name))? == *expected,
+                "{name} differs after {kills} kills"
+            );
+        }
+        runs += 1;
+    }
+    eprintln!(
+        "{kills} kills in {runs} runs, {begun_anew} of them before the first checkpoint: all end alike"
+    );
+    Ok(())
+}
