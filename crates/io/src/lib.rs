@@ -27,7 +27,7 @@ mod scene;
 mod tracks;
 mod truth;
 
-pub use atomic::{unfinished, write_atomic, write_json};
+pub use atomic::{unfinished, write_atomic, write_atomic_keeping, write_json};
 pub use error::IoError;
 pub use glam;
 pub use picture::{Image, Map, read_image, read_map, write_map_png, write_png};

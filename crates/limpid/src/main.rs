@@ -1,5 +1,6 @@
 //! The `limpid` program: trains, renders and scores.
 
+mod checkpoints;
 mod config;
 mod devices;
 mod eval;
