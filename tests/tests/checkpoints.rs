@@ -229,8 +229,8 @@ fn settings_that_may_not_change_are_refused_and_changes_are_kept() {
     let started = trainer.settings().clone();
     type Ask = fn(&mut Settings);
     let refused: [(&str, Ask); 4] = [
-        ("`blur.kernel_size` is 5 here and", |s| {
-            s.blur.kernel_size = 5;
+        ("`blur.kernel_size` is 7 here and", |s| {
+            s.blur.kernel_size = 7;
         }),
         ("shorter", |s| s.iterations = 200),
         ("--allow-change", |s| s.learning_rates.means *= 0.5),

@@ -92,18 +92,3 @@ fn changed_bytes_never_panic() {
         });
     }
 }
-
-#[test]
-fn zz_print() {
-    let scenes = parsers::scenes();
-    let scene = io::Scene::open(&scenes.path().join("binary")).expect("scene");
-    let t = trainer::Trainer::new(
-        scene,
-        trainer::Settings::default(),
-        &trainer::Device::flex(),
-    )
-    .expect("t");
-    t.save(scenes.path()).expect("saved");
-    let bytes = fs::read(scenes.path().join("state.safetensors")).expect("read");
-    fs::write("/tmp/corpus-sample", bytes).expect("w");
-}
