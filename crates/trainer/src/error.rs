@@ -57,19 +57,17 @@ pub enum TrainError {
     },
     /// Neither the last checkpoint nor the one before it can be used.
     #[error(
-        "no checkpoint can be used, and only a new run helps: {} ({older}), and {}",
-        before.display(), last.display()
+        "neither checkpoint can be used, and only a new run helps; {}: {older}; the last one",
+        before.display()
     )]
     Checkpoints {
         /// The file of the one before.
         before: PathBuf,
         /// What is wrong with it, with its causes.
         older: String,
-        /// The file of the last one.
-        last: PathBuf,
-        /// What is wrong with that.
+        /// What is wrong with the last one.
         #[source]
-        problem: CheckpointProblem,
+        last: Box<TrainError>,
     },
     /// Nothing was saved.
     #[error(

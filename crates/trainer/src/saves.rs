@@ -45,30 +45,25 @@ impl Run {
             Ok(run) => return Ok(run),
             Err(problem) => problem,
         };
-        match (read(&before, device), is_missing(&problem)) {
-            (Ok(mut run), _) => {
-                run.setback = Some(TrainError::Checkpoint {
-                    path: last,
-                    problem,
-                });
+        let is_none = is_missing(&problem);
+        let error = TrainError::Checkpoint {
+            path: last,
+            problem,
+        };
+        match read(&before, device) {
+            Ok(mut run) => {
+                run.setback = Some(error);
                 Ok(run)
             }
-            (Err(other), is_none) if is_missing(&other) => Err(if is_none {
-                TrainError::NoCheckpoint {
-                    folder: folder.to_owned(),
-                }
-            } else {
-                TrainError::Checkpoint {
-                    path: last,
-                    problem,
-                }
-            }),
-            (Err(other), _) => Err(TrainError::Checkpoints {
+            Err(other) if !is_missing(&other) => Err(TrainError::Checkpoints {
                 before,
                 older: with_causes(&other),
-                last,
-                problem,
+                last: Box::new(error),
             }),
+            Err(_) if is_none => Err(TrainError::NoCheckpoint {
+                folder: folder.to_owned(),
+            }),
+            Err(_) => Err(error),
         }
     }
 
