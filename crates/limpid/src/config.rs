@@ -60,6 +60,11 @@ pub(crate) enum Backend {
 }
 
 impl Backend {
+    /// Whether tensors live in main memory.
+    pub(crate) fn is_cpu(self) -> bool {
+        matches!(self, Self::Flex | Self::Ndarray)
+    }
+
     /// The name that `--backend` takes.
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -116,7 +121,7 @@ fn gpu(runtime: &str) -> Result<Device, Failure> {
 
 impl RunOptions {
     /// Pictures are made so many times smaller.
-    fn factor(&self) -> usize {
+    pub(crate) fn factor(&self) -> usize {
         self.downscale.unwrap_or(1)
     }
 }

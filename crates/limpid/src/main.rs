@@ -6,6 +6,7 @@ mod devices;
 mod eval;
 mod failure;
 mod lock;
+mod memory;
 mod outputs;
 mod render;
 mod say;

@@ -4,6 +4,7 @@ use crate::checkpoints::{self, Checkpoints};
 use crate::config::{self, Backend, CONFIG_FILE, Config};
 use crate::failure::{Failure, with_causes};
 use crate::lock::Lock;
+use crate::memory;
 use crate::outputs;
 use crate::say::say;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
@@ -121,6 +122,9 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     };
     for note in &started.trainer.survey().notes {
         say!("{note}");
+    }
+    if started.config.run.backend.is_cpu() {
+        memory::warn(&started.trainer, started.config.run.factor());
     }
     let ended = started.train(&save);
     ended.map_err(|error| {
