@@ -111,7 +111,7 @@ mod tests {
         assert!(due(20, 0.0, 40) && !due(20, 0.0, 41), "by number");
         assert!(!due(0, 0.0, 40), "never");
         assert!(!due(0, 1000.0, 40), "not yet");
-        assert!(due(0, 1e-12, 41), "by time");
+        assert!(due(0, 2e-11, 41), "by time");
         assert!(!due(0, f64::MAX, 41), "longer than time goes");
     }
 }
