@@ -17,6 +17,19 @@ pub fn write_atomic(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
 ) -> Result<(), IoError> {
+    write_atomic_keeping(path, None, write)
+}
+
+/// The same; the old content is renamed to `kept` once the new one is whole and synced, so that at every moment one of the two is
+/// there under one of the two names.
+///
+/// # Errors
+/// As [`write_atomic`].
+pub fn write_atomic_keeping(
+    path: &Path,
+    kept: Option<&Path>,
+    write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
+) -> Result<(), IoError> {
     let file_name = path
         .file_name()
         .ok_or_else(|| IoError::invalid(path, "cannot write: the path names no file"))?;
@@ -33,6 +46,9 @@ pub fn write_atomic(
         write(&mut out)?;
         let file = out.into_inner().map_err(|e| e.into_error())?;
         file.sync_all()?;
+        if let Some(kept) = kept {
+            fs::rename(path, kept)?;
+        }
         fs::rename(&temporary, path)
     };
     whole().map_err(|source| {
@@ -88,6 +104,11 @@ mod tests {
             text,
             "old content stays"
         );
+        let kept = path.with_file_name("kept.json");
+        write_atomic_keeping(&path, Some(&kept), |out| out.write_all(b"new")).unwrap();
+        let contents = [&path, &kept].map(|path| fs::read_to_string(path).unwrap());
+        assert_eq!(contents, ["new".to_owned(), text]);
+        fs::remove_file(kept).unwrap();
         let files = fs::read_dir(path.parent().unwrap()).unwrap().count();
         assert_eq!(files, 1, "no temporary file stays");
     }

@@ -29,7 +29,7 @@ mod scene;
 mod tracks;
 mod truth;
 
-pub use atomic::{unfinished, write_atomic, write_json};
+pub use atomic::{unfinished, write_atomic, write_atomic_keeping, write_json};
 pub use error::IoError;
 pub use glam;
 pub use json::{parse_json, read_json};

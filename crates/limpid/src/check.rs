@@ -39,7 +39,6 @@ pub(crate) fn run(arguments: &CheckArguments) -> Result<ExitCode, Failure> {
 }
 
 fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
-    let settings = Settings::default();
     let run = RunOptions {
         scene: Some(arguments.scene.clone()),
         images: arguments.images.clone(),
@@ -47,7 +46,12 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
         is_static: arguments.is_static,
         ..RunOptions::default()
     };
-    let mut scene = Config { run, settings }.open_scene()?;
+    let settings = Settings::default();
+    let config = Config {
+        run,
+        ..Config::of(settings.clone())
+    };
+    let mut scene = config.open_scene()?;
     let mut text = inventory(&scene)?;
     let findings = check(&scene);
     for finding in &findings {
@@ -61,7 +65,7 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
     };
     writeln!(text, "training would go by this:")?;
     let survey = trainer::survey(&mut scene)?;
-    let decided = survey.decided(&Settings::default());
+    let decided = survey.decided(&settings);
     for note in survey.notes.iter().chain(&decided) {
         writeln!(text, "  {note}")?;
     }

@@ -5,7 +5,7 @@ use crate::keys::{Mistake, RUN_KEYS, line_of, typed};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
-use trainer::{Device, Settings};
+use trainer::{Change, Device, Settings};
 
 /// Name of the file that holds a run's [`Config`].
 pub(crate) const CONFIG_FILE: &str = "config.json";
@@ -18,6 +18,9 @@ pub(crate) struct Config {
     pub(crate) run: RunOptions,
     /// How.
     pub(crate) settings: Settings,
+    /// What of the settings was another before, and since when not.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) changes: Vec<Change>,
 }
 
 /// Scene and backend.
@@ -55,6 +58,11 @@ pub(crate) enum Backend {
 }
 
 impl Backend {
+    /// Whether tensors live in main memory.
+    pub(crate) fn is_cpu(self) -> bool {
+        matches!(self, Self::Flex | Self::Ndarray)
+    }
+
     /// The name that `--backend` takes.
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -109,7 +117,23 @@ fn gpu(runtime: &str) -> Result<Device, Failure> {
     Ok(gpu.device)
 }
 
+impl RunOptions {
+    /// Pictures are made so many times smaller.
+    pub(crate) fn factor(&self) -> usize {
+        self.downscale.unwrap_or(1)
+    }
+}
+
 impl Config {
+    /// What is asked for where nothing is said.
+    pub(crate) fn of(settings: Settings) -> Self {
+        Self {
+            run: RunOptions::default(),
+            settings,
+            changes: Vec::new(),
+        }
+    }
+
     /// Reads a run's configuration from its output folder.
     pub(crate) fn of_run(folder: &Path) -> Result<Self, Failure> {
         let path = folder.join(CONFIG_FILE);
@@ -123,20 +147,24 @@ impl Config {
         parse_json(&text, &path)
     }
 
-    /// An error if the file says something else than what the run in this folder was trained with: it was edited since.
-    pub(crate) fn check_trained(&self, folder: &Path, trained: &Settings) -> Result<(), Failure> {
-        let [said, trained] = [&self.settings, trained].map(serde_json::to_value);
-        let Some(difference) = difference("", &said?, &trained?) else {
-            return Ok(());
+    /// An error if these options ask for other pictures than a run's own; the scene may have moved, to another device too.
+    pub(crate) fn check_reading(&self, asked: &RunOptions) -> Result<(), Failure> {
+        let said = |options: &RunOptions| {
+            [
+                ("images", format!("{:?}", options.images)),
+                ("downscale", options.factor().to_string()),
+                ("static", options.is_static.to_string()),
+            ]
         };
-        let path = folder.join(CONFIG_FILE);
-        Err(format!(
-            "{}: {difference} in the checkpoint; a run goes on with the settings that it was started with: \
-             undo the change, or start a new run with --config {}",
-            path.display(),
-            path.display()
-        )
-        .into())
+        for ((key, here), (_, there)) in said(asked).into_iter().zip(said(&self.run)) {
+            if here != there {
+                return Err(format!(
+                    "`{key}` is {here} here and {there} in the run: a run goes on with the pictures that it was started with"
+                )
+                .into());
+            }
+        }
+        Ok(())
     }
 
     /// The same with the scene in another place, if one is given.
@@ -159,33 +187,12 @@ impl Config {
         let dir = self.run.scene.as_deref();
         let dir = dir.ok_or("no scene: give its folder with --scene DIR")?;
         let options = io::LoadOptions {
-            downscale: self.run.downscale.unwrap_or(1),
+            downscale: self.run.factor(),
             images: self.run.images.clone(),
             static_scene: self.run.is_static,
         };
         Ok(io::Scene::open_with(dir, &options)?)
     }
-}
-
-/// The first value that differs, `key is A here and B`; arrays are compared whole.
-fn difference(key: &str, here: &serde_json::Value, there: &serde_json::Value) -> Option<String> {
-    let (Some(a), Some(b)) = (here.as_object(), there.as_object()) else {
-        return (here != there).then(|| format!("`{key}` is {here} here and {there}"));
-    };
-    let none = serde_json::Value::Null;
-    let keys = a
-        .keys()
-        .chain(b.keys().filter(|name| !a.contains_key(*name)));
-    let mut found = keys.filter_map(|name| {
-        let key = if key.is_empty() {
-            name.clone()
-        } else {
-            format!("{key}.{name}")
-        };
-        let [a, b] = [a, b].map(|table| table.get(name).unwrap_or(&none));
-        difference(&key, a, b)
-    });
-    found.next()
 }
 
 fn parse_json(text: &str, path: &Path) -> Result<Config, Failure> {
@@ -287,14 +294,19 @@ fn split(mut table: Table) -> Result<Config, Mistake> {
     Ok(Config {
         run: typed(run)?,
         settings: typed(table)?,
+        changes: Vec::new(),
     })
 }
 
-/// Run options and settings; what the table leaves out is as in `defaults`.
-pub(crate) fn from_table(table: Table, defaults: &Settings) -> Result<Config, Failure> {
-    let mut all = Table::try_from(defaults)?;
+/// Run options and settings; what the table leaves out is as in `base`.
+pub(crate) fn from_table(table: Table, base: &Config) -> Result<Config, Failure> {
+    let mut all = Table::try_from(&base.settings)?;
+    merge(&mut all, Table::try_from(&base.run)?);
     merge(&mut all, table);
-    let config = split(all).map_err(|e| e.to_string())?;
+    let config = Config {
+        changes: base.changes.clone(),
+        ..split(all).map_err(|e| e.to_string())?
+    };
     config.settings.validate()?;
     Ok(config)
 }
@@ -313,7 +325,7 @@ mod tests {
         set(&mut t, "blur.kernel_size=5").expect("set");
         set(&mut t, "loss.gauge=0.5").expect("set");
         set(&mut t, "backend=ndarray").expect("text without quotes");
-        let config = from_table(t, &Settings::default()).expect("config");
+        let config = from_table(t, &Config::of(Settings::default())).expect("config");
         assert_eq!(config.run.downscale, Some(2));
         assert_eq!(config.run.backend, Backend::Ndarray);
         assert_eq!(config.settings.iterations, 500);
@@ -346,7 +358,8 @@ mod tests {
             ("backend=gpu", &["`backend`", "`wgpu`"]),
         ] {
             let mut t = Table::new();
-            let failed = set(&mut t, assignment).and_then(|()| from_table(t, &Settings::default()));
+            let failed = set(&mut t, assignment)
+                .and_then(|()| from_table(t, &Config::of(Settings::default())));
             let text = failed.expect_err("a mistake").to_string();
             for part in told {
                 assert!(text.contains(part), "{assignment}: {text}");
@@ -360,6 +373,7 @@ mod tests {
         let whole = Config {
             run: RunOptions::default(),
             settings: Settings::default(),
+            changes: Vec::new(),
         };
         let json = serde_json::to_string_pretty(&whole).expect("json");
         let at = json
@@ -436,8 +450,8 @@ mod tests {
 
     #[test]
     fn a_config_survives_json() {
-        let mut config =
-            from_table(table("scene = \"a\"\nstatic = true"), &Settings::paper()).expect("config");
+        let base = Config::of(Settings::paper());
+        let mut config = from_table(table("scene = \"a\"\nstatic = true"), &base).expect("config");
         config.run.images = Some("truth/images_sharp".into());
         let text = serde_json::to_string(&config).expect("json");
         assert_eq!(serde_json::from_str::<Config>(&text).expect("json"), config);

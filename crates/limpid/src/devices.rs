@@ -33,14 +33,13 @@ impl Need {
         if arguments.scene.is_none() {
             return Ok(None);
         }
-        let settings = Settings::default();
-        let run = RunOptions {
+        let mut config = Config::of(Settings::default());
+        config.run = RunOptions {
             scene: arguments.scene.clone(),
             downscale: arguments.downscale,
             is_static: arguments.is_static,
             ..RunOptions::default()
         };
-        let config = Config { run, settings };
         let scene = config.open_scene()?;
         let frame = scene.frames.first().ok_or("the scene has no frame")?;
         let pixels = frame.view.camera.num_pixels();

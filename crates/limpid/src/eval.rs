@@ -1,9 +1,9 @@
 //! `limpid eval`.
 
+use crate::checkpoints;
 use crate::config::{Backend, Config};
 use crate::failure::Failure;
 use crate::outputs;
-use crate::render;
 use crate::say::print;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -38,7 +38,7 @@ struct ColorMapFile {
 
 pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
     let config = Config::of_run(&arguments.run)?.on(arguments.backend);
-    let run = render::open(&arguments.run, &config)?;
+    let run = checkpoints::open(&arguments.run, &config)?;
     let scene = config.at(arguments.scene.as_deref()).open_scene()?;
     let colors = match &arguments.colour_map {
         None => None,
@@ -56,8 +56,7 @@ pub(crate) fn run(arguments: &EvalArguments) -> Result<ExitCode, Failure> {
         }
     };
     let evaluation = run.evaluate(&scene, colors.as_ref())?;
-    let seconds = outputs::read_seconds(&arguments.run.join("checkpoint"));
-    let metrics = outputs::metrics(&evaluation, &run, config.run.backend, seconds);
+    let metrics = outputs::metrics(&evaluation, &run, config.run.backend);
     let text = match &arguments.json {
         Some(None) => serde_json::to_string_pretty(&metrics)?,
         Some(Some(_)) | None => outputs::summary(&evaluation),

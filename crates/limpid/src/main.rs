@@ -1,12 +1,14 @@
 //! The `limpid` program: trains, renders and scores.
 
 mod check;
+mod checkpoints;
 mod config;
 mod devices;
 mod eval;
 mod failure;
 mod keys;
 mod lock;
+mod memory;
 mod outputs;
 mod render;
 mod say;

@@ -1,5 +1,6 @@
 //! What a run leaves in its folder.
 
+use crate::checkpoints;
 use crate::config::{Backend, CONFIG_FILE};
 use crate::failure::Failure;
 use crate::sheet;
@@ -7,17 +8,16 @@ use io::Scene;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
-use trainer::{Evaluation, Run, Scores, Settings, Trainer};
+use trainer::{Change, Evaluation, Run, Scores, Settings, Trainer};
 
 /// The names of a run's results in its folder.
 const RESULTS: [&str; 5] = [
     CONFIG_FILE,
     "metrics.json",
-    "checkpoint",
+    checkpoints::FOLDER,
     "renders",
     "scene.ply",
 ];
-const SECONDS_FILE: &str = "seconds.json";
 
 /// `metrics.json`.
 #[derive(Serialize)]
@@ -28,6 +28,9 @@ pub(crate) struct Metrics<'a> {
     backend: &'static str,
     seed: u64,
     settings: &'a Settings,
+    /// What of the settings was another before, and since when not.
+    #[serde(skip_serializing_if = "<[Change]>::is_empty")]
+    changes: &'a [Change],
 }
 
 /// Refuses a folder that holds another run's results, unless they are to be replaced; one that holds such names and no
@@ -37,19 +40,26 @@ pub(crate) fn check_folder(out: &Path, replace: bool) -> Result<(), Failure> {
         return Ok(());
     };
     let folder = out.display();
-    if !replace {
-        return Err(format!(
-            "{folder} holds the results of another run ({name}); --resume without any settings goes on with it, --force replaces it, --out chooses another folder"
-        )
-        .into());
-    }
     if !is_run(out) {
         return Err(format!(
-            "{folder} is no run of ours, and --force would remove files from it; choose another folder with --out"
+            "{folder} is no run of ours, and --force would remove files from it ({name}); choose another folder with --out"
         )
         .into());
     }
-    Ok(())
+    if replace {
+        return Ok(());
+    }
+    Err(if checkpoints::are_in(out) {
+        format!(
+            "{folder} holds the results of another run ({name}); --resume goes on with it, --force replaces it, --out chooses another folder"
+        )
+    } else {
+        format!(
+            "{folder} holds a run that ended before its first checkpoint: nothing was saved, and there is nothing to go on from; \
+             --force starts anew in its place, --out chooses another folder"
+        )
+    }
+    .into())
 }
 
 /// Removes another run's results, but nothing else.
@@ -73,19 +83,6 @@ fn is_run(out: &Path) -> bool {
         .ok()
         .and_then(|text| serde_json::from_str::<serde_json::Value>(&text).ok())
         .is_some_and(|config| config["run"].is_object() && config["settings"].is_object())
-}
-
-/// Writes the checkpoint, and the seconds that training has taken.
-pub(crate) fn save(trainer: &Trainer, checkpoint: &Path, seconds: f64) -> Result<(), Failure> {
-    std::fs::create_dir_all(checkpoint).map_err(|e| format!("{e}: {}", checkpoint.display()))?;
-    trainer.save(checkpoint)?;
-    Ok(io::write_json(&checkpoint.join(SECONDS_FILE), &seconds)?)
-}
-
-/// The seconds that training took until the checkpoint; 0 where that is not known.
-pub(crate) fn read_seconds(checkpoint: &Path) -> f64 {
-    let text = std::fs::read_to_string(checkpoint.join(SECONDS_FILE)).unwrap_or_default();
-    serde_json::from_str(&text).unwrap_or(0.0)
 }
 
 /// Writes all pictures and the PLY, and scores.
@@ -135,15 +132,15 @@ pub(crate) fn metrics<'a>(
     evaluation: &'a Evaluation,
     run: &'a Run,
     backend: Backend,
-    seconds: f64,
 ) -> Metrics<'a> {
     let settings = run.settings();
     Metrics {
         evaluation,
-        seconds,
+        seconds: run.seconds(),
         backend: backend.name(),
         seed: settings.seed,
         settings,
+        changes: run.changes(),
     }
 }
 

@@ -1,5 +1,6 @@
 //! `limpid render`.
 
+use crate::checkpoints;
 use crate::config::{Backend, Config};
 use crate::failure::{Failure, with_causes};
 use crate::outputs;
@@ -49,7 +50,7 @@ pub(crate) struct RenderArguments {
 
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
     let config = Config::of_run(&arguments.run)?.on(arguments.backend);
-    let run = open(&arguments.run, &config)?;
+    let run = checkpoints::open(&arguments.run, &config)?;
     for (flag, times) in [("--at", &arguments.at), ("--ply-at", &arguments.ply_at)] {
         times
             .iter()
@@ -108,14 +109,6 @@ fn within(run: &Run, flag: &str, time: f32) -> Result<(), Failure> {
         return Ok(());
     }
     Err(format!("{flag} {time}: the video goes from {from} to {to}, in training frames").into())
-}
-
-/// The run in a folder, from its checkpoint.
-pub(crate) fn open(folder: &Path, config: &Config) -> Result<Run, Failure> {
-    Ok(Run::open(
-        &folder.join("checkpoint"),
-        &config.run.backend.device()?,
-    )?)
 }
 
 /// The scene, for its blurry frames: where the user says it is, or where it was if it still is there.

@@ -1,4 +1,5 @@
 //! Ctrl-C: the first asks for an end with a checkpoint; once that is written, a second one ends what is only pictures and scores.
+//! And SIGUSR1, which asks for a checkpoint and no end.
 
 use crate::failure::Failure;
 use crate::say::say;
@@ -60,6 +61,27 @@ impl Stop {
     /// From now on nothing is lost by an end.
     pub(crate) fn saved(&self) {
         self.saved.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Whether the user wants a checkpoint now.
+#[derive(Debug, Default)]
+pub(crate) struct SaveRequest {
+    asked: Arc<AtomicBool>,
+}
+
+impl SaveRequest {
+    /// Listens for SIGUSR1 from now on; where there is no such signal, nobody asks.
+    pub(crate) fn listen() -> Result<Self, Failure> {
+        let request = Self::default();
+        #[cfg(unix)]
+        signal_hook::flag::register(signal_hook::consts::SIGUSR1, request.asked.clone())?;
+        Ok(request)
+    }
+
+    /// Whether it was asked since this was last looked at.
+    pub(crate) fn take(&self) -> bool {
+        self.asked.swap(false, Ordering::Relaxed)
     }
 }
 

@@ -1,19 +1,21 @@
 //! `limpid train`.
 
 use crate::check;
+use crate::checkpoints::{self, Checkpoints};
 use crate::config::{self, Backend, CONFIG_FILE, Config};
 use crate::failure::{Failure, with_causes};
 use crate::lock::Lock;
+use crate::memory;
 use crate::outputs;
 use crate::say::say;
-use crate::stop::{INTERRUPTED, Stop};
+use crate::stop::{INTERRUPTED, SaveRequest, Stop};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use toml::{Table, Value};
-use trainer::{Run, Settings, StepReport, TrainError, Trainer};
+use trainer::{Change, Settings, StepReport, TrainError, Trainer, differences};
 
 /// Arguments of `limpid train`.
 #[derive(Debug, clap::Args)]
@@ -52,9 +54,12 @@ pub(crate) struct TrainArguments {
     /// Seed of every random choice [default: 1].
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: Option<u64>,
-    /// Go on from the checkpoint in the results' folder.
+    /// Go on from the checkpoint in the results' folder, with the settings of the run; --iterations may make it longer.
     #[arg(long)]
     resume: bool,
+    /// With --resume: let learning rates change on the way (`--set learning_rates.…`).
+    #[arg(long, requires = "resume")]
+    allow_change: bool,
     /// Replace the results of an earlier run, and train on files that cannot be right (see `limpid check`).
     #[arg(long, conflicts_with = "resume")]
     force: bool,
@@ -99,133 +104,210 @@ enum Profile {
     Paper,
 }
 
+/// A run that is about to be trained, alone in its folder.
+struct Started {
+    out: PathBuf,
+    config: Config,
+    trainer: Trainer,
+    checkpoints: Checkpoints,
+    _lock: Lock,
+}
+
 pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
-    let asked = arguments.config()?;
-    let out = match &arguments.out {
-        Some(out) => out.clone(),
-        None => default_out(&asked)?,
-    };
-    let checkpoint = out.join("checkpoint");
-    let (config, mut trainer, mut seconds, _lock) = if arguments.resume {
-        let mut config = Config::of_run(&out)?;
-        let lock = Lock::of(&out)?;
-        if let Some(scene) = &arguments.scene {
-            config.run.scene = Some(absolute(scene)?);
-        }
-        if let Some(backend) = arguments.backend {
-            config.run.backend = backend;
-        }
-        let device = config.run.backend.device()?;
-        let run = Run::open(&checkpoint, &device)?;
-        config.check_trained(&out, run.settings())?;
-        let trainer = Trainer::resume(run, config.open_scene()?)?;
-        say!(
-            "going on after iteration {} of {}",
-            trainer.iteration(),
-            trainer.settings().iterations
-        );
-        let seconds = outputs::read_seconds(&checkpoint);
-        (config, trainer, seconds, lock)
+    // From the beginning: the signal ends a program that does not know it.
+    let save = SaveRequest::listen()?;
+    let mut started = if arguments.resume {
+        arguments.go_on()?
     } else {
-        let device = asked.run.backend.device()?;
-        outputs::check_folder(&out, arguments.force)?;
+        arguments.begin()?
+    };
+    for note in &started.trainer.survey().notes {
+        say!("{note}");
+    }
+    if started.config.run.backend.is_cpu() {
+        memory::warn(&started.trainer, started.config.run.factor());
+    }
+    let ended = started.train(&save);
+    ended.map_err(|error| {
+        let error = with_causes(&*error);
+        format!("{error}; {}", started.checkpoints.account()).into()
+    })
+}
+
+impl Started {
+    /// Trains, and writes what comes of it.
+    fn train(&mut self, save: &SaveRequest) -> Result<ExitCode, Failure> {
+        let Self {
+            out,
+            config,
+            trainer,
+            checkpoints,
+            _lock,
+        } = self;
+        let stop = Stop::listen()?;
+        let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
+        while !trainer.is_done() && !stop.is_asked() {
+            let started = Instant::now();
+            let step = trainer.step();
+            trainer.count_seconds(started.elapsed().as_secs_f64());
+            let report = match step {
+                Ok(report) => report,
+                Err(error) => {
+                    progress.finish();
+                    // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
+                    let is_whole = matches!(error, TrainError::NotFinite { .. });
+                    if is_whole && let Err(problem) = checkpoints.save(trainer) {
+                        say!("the checkpoint cannot be saved: {}", with_causes(&*problem));
+                    }
+                    return Err(error.into());
+                }
+            };
+            progress.show(&report);
+            let asked = save.take();
+            if !trainer.is_done() && (asked || checkpoints.is_due(report.iteration)) {
+                checkpoints.save_on_the_way(trainer);
+            }
+        }
+        progress.finish();
+        checkpoints.save(trainer)?;
+        stop.saved();
+        if !trainer.is_done() {
+            say!(
+                "stopped after iteration {}; the same command with --resume --out {} goes on",
+                trainer.iteration(),
+                out.display()
+            );
+            return Ok(ExitCode::from(INTERRUPTED));
+        }
+        let evaluation = outputs::write_all(trainer, out)?;
+        let metrics = outputs::metrics(&evaluation, trainer.run(), config.run.backend);
+        io::write_json(&out.join("metrics.json"), &metrics)?;
+        say!("{}", outputs::summary(&evaluation));
+        say!(
+            "{:.0} s of training; results in {}",
+            trainer.run().seconds(),
+            out.display()
+        );
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+impl TrainArguments {
+    /// A new run.
+    fn begin(&self) -> Result<Started, Failure> {
+        let defaults = match self.profile {
+            Some(Profile::Paper) => Settings::paper(),
+            None => Settings::default(),
+        };
+        let mut config = config::from_table(self.table()?, &Config::of(defaults))?;
+        // An absolute path, so that the run can be repeated from anywhere.
+        if let Some(scene) = &mut config.run.scene {
+            *scene = absolute(scene)?;
+        }
+        let out = self.out(config.run.scene.as_deref())?;
+        let device = config.run.backend.device()?;
+        outputs::check_folder(&out, self.force)?;
         // A folder that is not there yet is made once it is clear that there will be a run.
         let early = out.is_dir().then(|| Lock::of(&out)).transpose()?;
-        let scene = asked.open_scene()?;
+        let scene = config.open_scene()?;
         // What it is scored against is read at the end: better to fail now.
         scene.truth()?;
         for note in &scene.notes {
             say!("note: {note}");
         }
-        check::before_training(&scene, arguments.force)?;
-        let trainer = Trainer::new(scene, asked.settings.clone(), &device)?;
+        check::before_training(&scene, self.force)?;
+        let trainer = Trainer::new(scene, config.settings.clone(), &device)?;
         std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
         let lock = match early {
             Some(lock) => lock,
             None => Lock::of(&out)?,
         };
         // Another run may have come and gone since.
-        outputs::check_folder(&out, arguments.force)?;
+        outputs::check_folder(&out, self.force)?;
         // Only now: a mistake in the arguments or the scene costs no earlier results.
         outputs::clear_folder(&out)?;
-        io::write_json(&out.join(CONFIG_FILE), &asked)?;
-        (asked, trainer, 0.0, lock)
-    };
-    for note in &trainer.survey().notes {
-        say!("{note}");
+        io::write_json(&out.join(CONFIG_FILE), &config)?;
+        Ok(Started {
+            checkpoints: Checkpoints::new(&out, trainer.settings(), None),
+            out,
+            config,
+            trainer,
+            _lock: lock,
+        })
     }
 
-    let stop = Stop::listen()?;
-    let every = trainer.settings().checkpoint_every;
-    let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
-    while !trainer.is_done() && !stop.is_asked() {
-        let started = Instant::now();
-        let step = trainer.step();
-        seconds += started.elapsed().as_secs_f64();
-        let report = match step {
-            Ok(report) => report,
-            Err(error) => {
-                progress.finish();
-                // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
-                let is_whole = matches!(error, TrainError::NotFinite { .. });
-                if is_whole && let Err(problem) = outputs::save(&trainer, &checkpoint, seconds) {
-                    say!("the checkpoint cannot be saved: {}", with_causes(&*problem));
-                }
-                return Err(error.into());
+    /// The run in the results' folder.
+    fn go_on(&self) -> Result<Started, Failure> {
+        let mut asked = Table::new();
+        if let Some(Profile::Paper) = self.profile {
+            for profile in differences(&Settings::paper(), &Settings::default()) {
+                config::insert(&mut asked, &profile.setting, Value::try_from(profile.here)?)?;
             }
-        };
-        progress.show(&report);
-        if every > 0
-            && report.iteration.is_multiple_of(every)
-            && !trainer.is_done()
-            && let Err(problem) = outputs::save(&trainer, &checkpoint, seconds)
-        {
-            let problem = with_causes(&*problem);
-            say!(
-                "warning: no checkpoint after iteration {}: {problem}; training goes on, and tries again",
-                report.iteration
-            );
         }
-    }
-    progress.finish();
-    outputs::save(&trainer, &checkpoint, seconds)?;
-    stop.saved();
-    if !trainer.is_done() {
-        say!(
-            "stopped after iteration {}; the same command with --resume --out {} and no settings goes on",
-            trainer.iteration(),
-            out.display()
-        );
-        return Ok(ExitCode::from(INTERRUPTED));
-    }
-    let evaluation = outputs::write_all(&trainer, &out)?;
-    let metrics = outputs::metrics(&evaluation, trainer.run(), config.run.backend, seconds);
-    io::write_json(&out.join("metrics.json"), &metrics)?;
-    say!("{}", outputs::summary(&evaluation));
-    say!("{seconds:.0} s of training; results in {}", out.display());
-    Ok(ExitCode::SUCCESS)
-}
+        config::merge(&mut asked, self.table()?);
+        let scene = asked.get("scene").and_then(Value::as_str).map(Path::new);
+        let scene = scene.map(absolute).transpose()?;
+        let out = self.out(scene.as_deref())?;
+        let found = Config::of_run(&out)?;
+        let lock = Lock::of(&out)?;
+        let mut config = config::from_table(asked, &found)?;
+        config.run.scene = scene.or_else(|| found.run.scene.clone());
+        found.check_reading(&config.run)?;
 
-impl TrainArguments {
-    /// File, then flags, then `--set`, over the profile's defaults.
-    fn config(&self) -> Result<Config, Failure> {
-        let changes_settings = self.iterations.is_some()
-            || self.downscale.is_some()
-            || self.blur.is_some()
-            || self.images.is_some()
-            || self.is_static
-            || self.profile.is_some()
-            || self.seed.is_some()
-            || !self.set.is_empty();
-        if self.resume && changes_settings {
-            return Err("--resume goes on with the settings that the run was started with; leave the other flags out \
-                (only --out, --scene, --config and --backend go with it)"
-                .into());
+        let mut run = checkpoints::open(&out, &config)?;
+        let edited = differences(&found.settings, run.settings());
+        let changed = run.change(config.settings.clone(), self.allow_change);
+        let changes = changed.map_err(|error| -> Failure {
+            match &error {
+                TrainError::OtherSetting { setting, .. }
+                    if edited.iter().any(|edit| edit.setting == *setting) =>
+                {
+                    format!("{}: {error}", out.join(CONFIG_FILE).display()).into()
+                }
+                _ => error.into(),
+            }
+        })?;
+        let trainer = Trainer::resume(run, config.open_scene()?)?;
+        config.changes = trainer.run().changes().to_vec();
+        say!(
+            "going on after iteration {} of {}",
+            trainer.iteration(),
+            trainer.settings().iterations
+        );
+        for change in &changes {
+            say!("{}", consequence(change, trainer.schedule().iterations));
         }
-        let defaults = match self.profile {
-            Some(Profile::Paper) => Settings::paper(),
-            None => Settings::default(),
-        };
+        if config != found {
+            io::write_json(&out.join(CONFIG_FILE), &config)?;
+        }
+        let last = Some(trainer.iteration());
+        let mut checkpoints = Checkpoints::new(&out, trainer.settings(), last);
+        if !changes.is_empty() {
+            // What config.json says, the checkpoint says too.
+            checkpoints.save(&trainer)?;
+        }
+        Ok(Started {
+            out,
+            config,
+            trainer,
+            checkpoints,
+            _lock: lock,
+        })
+    }
+
+    /// The folder of the results of a run on this scene.
+    fn out(&self, scene: Option<&Path>) -> Result<PathBuf, Failure> {
+        if let Some(out) = &self.out {
+            return Ok(out.clone());
+        }
+        let name = scene.and_then(Path::file_name).ok_or(
+            "no scene: give --scene DIR, or --config FILE with a line `scene = \"DIR\"` (and --out DIR for where the results go)",
+        )?;
+        Ok(Path::new("out").join(name))
+    }
+
+    /// What is asked for: file, then flags, then `--set`.
+    fn table(&self) -> Result<Table, Failure> {
         let mut table = match &self.config {
             Some(path) => config::read_table(path)?,
             None => Table::new(),
@@ -257,26 +339,31 @@ impl TrainArguments {
         for assignment in &self.set {
             config::set(&mut table, assignment)?;
         }
-        let mut config = config::from_table(table, &defaults)?;
-        // An absolute path, so that the run can be repeated from anywhere.
-        if let Some(scene) = &mut config.run.scene {
-            *scene = absolute(scene)?;
-        }
-        Ok(config)
+        Ok(table)
+    }
+}
+
+/// What a change means for the rest of a run whose schedule is one of so many iterations.
+fn consequence(change: &Change, scheduled: usize) -> String {
+    let Change {
+        iteration,
+        setting,
+        from,
+        to,
+    } = change;
+    if setting == "iterations" {
+        format!(
+            "iterations: {to} in the place of {from}. The schedule stays that of {scheduled} iterations: up to there all comes as it \
+             would have come, and learning rates then stay where they are at its end"
+        )
+    } else {
+        format!("{setting}: {to} in the place of {from}, after iteration {iteration}")
     }
 }
 
 fn absolute(scene: &Path) -> Result<PathBuf, Failure> {
     let found = scene.canonicalize();
     Ok(found.map_err(|e| format!("{e}: {}", scene.display()))?)
-}
-
-fn default_out(config: &Config) -> Result<PathBuf, Failure> {
-    let scene = config.run.scene.as_deref();
-    let name = scene.and_then(Path::file_name).ok_or(
-        "no scene: give --scene DIR, or --config FILE with a line `scene = \"DIR\"` (and --out DIR for where the results go)",
-    )?;
-    Ok(Path::new("out").join(name))
 }
 
 /// A bar on a terminal, a line now and then elsewhere.

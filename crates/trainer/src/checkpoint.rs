@@ -1,21 +1,25 @@
 //! A checkpoint is a whole run in one safetensors file, from which training goes on bit for bit, and which needs no data set to be
 //! rendered.
 //!
+//! A checksum in its header stands for every byte of the file.
+//!
 //! Tensors: every parameter under its name, its moments under `adam.1.NAME` and `adam.2.NAME`, density
 //! statistics, the blur model's tables. Metadata (JSON under the key `limpid`): see [`Header`].
 //! The schedule, which follows from these, is made again on opening, and so are unseen views on going on.
 
-use crate::TrainError;
 use crate::adam::{AdamState, Steps};
 use crate::blur::BlurModel;
+use crate::changes::Change;
+use crate::checksum;
 use crate::corrections::Corrections;
 use crate::density::DensityStats;
 use crate::error::{CheckpointProblem, OtherScene};
+use crate::inputs::Inputs;
 use crate::model::Model;
 use crate::optimizer::Optimizer;
 use crate::plan::{Plan, schedule_of};
 use crate::run::Run;
-use crate::settings::Settings;
+use crate::settings::{LEAST_ITERATIONS, Settings};
 use crate::state::{Progress, State};
 use crate::survey::Survey;
 use crate::tensors::{host, tensor};
@@ -27,13 +31,9 @@ use motion_bases::MotionBases;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
-use std::path::Path;
 
 /// Version of the file's layout; others are refused.
-const FORMAT: u32 = 4;
-
-/// Name of the file in a checkpoint's folder.
-pub const FILE_NAME: &str = "state.safetensors";
+const FORMAT: u32 = 5;
 
 /// Pictures of a view may have so many pixels: a broken size must not ask for all memory.
 const MAX_PIXELS: usize = 1 << 28;
@@ -42,7 +42,13 @@ const MAX_PIXELS: usize = 1 << 28;
 #[serde(deny_unknown_fields)]
 struct Header {
     format: u32,
+    /// See [`checksum`].
+    checksum: String,
     settings: Settings,
+    /// The iterations that the schedule is made for: those that the run was started with.
+    scheduled: usize,
+    changes: Vec<Change>,
+    inputs: Inputs,
     survey: Survey,
     views: Views,
     /// Whether there are unseen views.
@@ -54,25 +60,12 @@ struct Header {
 }
 
 impl Run {
-    /// Writes the whole run to `folder/state.safetensors`: under a temporary name first, synced, then renamed,
-    /// so that a file that is there is whole.
-    ///
-    /// # Errors
-    /// The file cannot be written; one that was there before is unharmed then.
-    pub fn save(&self, folder: &Path) -> Result<(), TrainError> {
-        let path = folder.join(FILE_NAME);
-        let bytes = self.to_bytes().map_err(|problem| TrainError::Checkpoint {
-            path: path.clone(),
-            problem,
-        })?;
-        Ok(io::write_atomic(&path, |file| file.write_all(&bytes))?)
-    }
-
-    fn to_bytes(&self) -> Result<Vec<u8>, CheckpointProblem> {
+    pub(crate) fn to_bytes(&self) -> Result<Vec<u8>, CheckpointProblem> {
         let Self {
             plan,
             state,
             device,
+            ..
         } = self;
         let mut tensors: Vec<(String, Tensor<2>)> = state
             .model
@@ -100,7 +93,11 @@ impl Run {
         let steps = state.optimizer.states.iter();
         let header = Header {
             format: FORMAT,
+            checksum: checksum::OPEN.to_owned(),
             settings: plan.settings.clone(),
+            scheduled: plan.schedule.iterations,
+            changes: plan.changes.clone(),
+            inputs: plan.inputs.clone(),
             survey: plan.survey.clone(),
             views: plan.views.clone(),
             has_unseen: plan.schedule.unseen_from.is_some(),
@@ -119,22 +116,13 @@ impl Run {
             })
             .collect::<Result<Vec<_>, _>>()?;
         let metadata = HashMap::from([("limpid".to_owned(), serde_json::to_string(&header)?)]);
-        Ok(serialize(views, Some(metadata))?)
+        let mut bytes = serialize(views, Some(metadata))?;
+        checksum::seal(&mut bytes);
+        Ok(bytes)
     }
 
-    /// Reads a checkpoint back, to render it, to export it, or to go on from it ([`crate::Trainer::resume`]).
-    ///
-    /// # Errors
-    /// The file cannot be read, is not whole, or is of another version.
-    pub fn open(folder: &Path, device: &Device) -> Result<Self, TrainError> {
-        let path = folder.join(FILE_NAME);
-        std::fs::read(&path)
-            .map_err(CheckpointProblem::from)
-            .and_then(|bytes| Self::from_bytes(&bytes, device))
-            .map_err(|problem| TrainError::Checkpoint { path, problem })
-    }
-
-    fn from_bytes(bytes: &[u8], device: &Device) -> Result<Self, CheckpointProblem> {
+    /// A run from the bytes of a checkpoint.
+    pub(crate) fn from_bytes(bytes: &[u8], device: &Device) -> Result<Self, CheckpointProblem> {
         let header = header(bytes)?;
         let file = SafeTensors::deserialize(bytes)?;
         let device = device.clone().autodiff();
@@ -164,7 +152,12 @@ impl Run {
             motion,
         };
         check_world(&world, &header)?;
-        let (settings, survey) = (&header.settings, &header.survey);
+        // A run that became longer has the moments of the one that was started.
+        let scheduled = Settings {
+            iterations: header.scheduled,
+            ..header.settings.clone()
+        };
+        let (settings, survey) = (&scheduled, &header.survey);
         let mut blur = BlurModel::new(settings, survey, &header.views, (&device, DType::F32))
             .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
         let mut corrections =
@@ -216,8 +209,10 @@ impl Run {
             count: tensor(count, [model.num_gaussians()], &inner),
         };
         let plan = Plan {
-            schedule: schedule_of(&header.settings, &header.views, &model, header.has_unseen),
+            schedule: schedule_of(settings, &header.views, &model, header.has_unseen),
             settings: header.settings,
+            changes: header.changes,
+            inputs: header.inputs,
             survey: header.survey,
             views: header.views,
         };
@@ -230,6 +225,7 @@ impl Run {
                 progress: header.progress,
             },
             device,
+            setback: None,
         })
     }
 
@@ -262,16 +258,29 @@ fn header(bytes: &[u8]) -> Result<Header, CheckpointProblem> {
     let text = text.ok_or(CheckpointProblem::Foreign)?;
     let format = serde_json::from_str::<serde_json::Value>(text)
         .ok()
-        .and_then(|v| v.get("format")?.as_u64());
-    if format != Some(u64::from(FORMAT)) {
+        .and_then(|v| v.get("format").cloned());
+    let found = match format {
+        None => "no format".to_owned(),
+        Some(number) if number.is_u64() => format!("format {number}"),
+        Some(_) => "a format that is no number".to_owned(),
+    };
+    if found != format!("format {FORMAT}") {
         return Err(CheckpointProblem::Format {
-            found: format,
+            found,
             expected: FORMAT,
         });
+    }
+    if !checksum::holds(bytes) {
+        return Err(CheckpointProblem::Damaged);
     }
     let header: Header = serde_json::from_str(text)?;
     let valid = header.settings.validate();
     valid.map_err(|e| CheckpointProblem::Settings(Box::new(e)))?;
+    if !(LEAST_ITERATIONS..=header.settings.iterations).contains(&header.scheduled) {
+        return Err(CheckpointProblem::Contradiction(
+            "the schedule is one of too few iterations, or of more than the run has",
+        ));
+    }
     if header.views.train.is_empty() {
         return Err(CheckpointProblem::Contradiction(
             "there is no training view",

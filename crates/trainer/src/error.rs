@@ -55,6 +55,41 @@ pub enum TrainError {
         #[source]
         problem: CheckpointProblem,
     },
+    /// Neither the last checkpoint nor the one before it can be used.
+    #[error(
+        "neither checkpoint can be used, and only a new run helps; {}: {older}; the last one",
+        before.display()
+    )]
+    Checkpoints {
+        /// The file of the one before.
+        before: PathBuf,
+        /// What is wrong with it, with its causes.
+        older: String,
+        /// What is wrong with the last one.
+        #[source]
+        last: Box<TrainError>,
+    },
+    /// Nothing was saved.
+    #[error(
+        "no checkpoint was saved in {} yet: there is nothing to go on from; the same command with --force in the place of --resume starts anew",
+        folder.display()
+    )]
+    NoCheckpoint {
+        /// The folder of the checkpoints.
+        folder: PathBuf,
+    },
+    /// A setting is another than the run was started with, and may not be.
+    #[error("`{setting}` is {here} here and {there} in the checkpoint: {advice}")]
+    OtherSetting {
+        /// Its dotted name.
+        setting: String,
+        /// What is asked for.
+        here: String,
+        /// What the run was trained with.
+        there: String,
+        /// What to do.
+        advice: &'static str,
+    },
     /// A file cannot be read or written.
     #[error(transparent)]
     Io(#[from] io::IoError),
@@ -69,9 +104,10 @@ pub enum TrainError {
     Blur(#[from] bpnet::BpNetError),
     /// A loss term or a gradient is not finite.
     #[error(
-        "iteration {iteration}, view {view}, loss term `{term}`, parameter `{parameter}`: {problem}; \
-         the state before this iteration is unharmed and can be saved; look at the view, try a lower learning rate, \
-         or go without the setting that was changed last"
+        "iteration {iteration}, view {view}, loss term `{term}`{}: {problem}; \
+         the state before this iteration is unharmed; look at the view, try a lower learning rate, \
+         or go without the setting that was changed last",
+        parameter.as_ref().map_or_else(String::new, |name| format!(", parameter `{name}`"))
     )]
     NotFinite {
         /// 1-based iteration.
@@ -80,8 +116,8 @@ pub enum TrainError {
         view: String,
         /// Name of the loss term where it arose; "all" where each term by itself is finite.
         term: &'static str,
-        /// Name of the parameter whose gradient is at fault; "none" where all gradients are finite.
-        parameter: String,
+        /// Name of the parameter whose gradient is at fault; `None` where all gradients are finite.
+        parameter: Option<String>,
         /// What is not finite, and where in it.
         problem: String,
     },
@@ -113,7 +149,7 @@ pub enum TrainError {
     },
     /// All iterations are done.
     #[error(
-        "all {iterations} iterations are done; raise `iterations` in a new run to train for longer"
+        "all {iterations} iterations are done; --resume with more --iterations goes on behind its schedule, a new run has a longer one"
     )]
     Finished {
         /// The number of iterations.
@@ -205,6 +241,14 @@ pub enum OtherScene {
         /// Name of the first view that differs.
         view: String,
     },
+    /// Something of it was replaced.
+    #[error(
+        "{what} is not what the run was trained on; put back what was there, or start anew (--force)"
+    )]
+    OtherInput {
+        /// What, by the name of its frame.
+        what: String,
+    },
     /// Its depth says that it has another size.
     #[error(
         "the scene's size is {found} and was {trained} in training; --scene must be the scene that it was trained on, as it was then"
@@ -237,13 +281,18 @@ pub enum CheckpointProblem {
     #[error("it is no checkpoint of limpid")]
     Foreign,
     /// Another version wrote it.
-    #[error("its format is {found:?}; this version reads {expected}")]
+    #[error(
+        "it has {found}, this program reads {expected}; use the version that wrote it, or start anew"
+    )]
     Format {
-        /// Format of the file.
-        found: Option<u64>,
+        /// The file's, in words.
+        found: String,
         /// Format of this version.
         expected: u32,
     },
+    /// A byte of it is another than when it was written.
+    #[error("it is damaged: its checksum does not hold")]
+    Damaged,
     /// Its header is broken.
     #[error("its header does not parse")]
     Header(#[from] serde_json::Error),

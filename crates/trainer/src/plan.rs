@@ -1,5 +1,7 @@
 //! What was decided before the first iteration, and stays.
 
+use crate::changes::Change;
+use crate::inputs::Inputs;
 use crate::model::Model;
 use crate::schedule::{Modelled, Schedule};
 use crate::settings::Settings;
@@ -7,10 +9,15 @@ use crate::survey::Survey;
 use crate::views::Views;
 use io::Scene;
 
-/// What was asked for, what was found in the scene, and when things happen because of both.
+/// What was asked for, what was found in the scene, and when things happen because of both. Where a run became longer than it was
+/// to be, the schedule is still the one of the first settings.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     pub(crate) settings: Settings,
+    /// What was changed of the settings on the way.
+    pub(crate) changes: Vec<Change>,
+    /// What there is to learn from.
+    pub(crate) inputs: Inputs,
     pub(crate) survey: Survey,
     pub(crate) views: Views,
     pub(crate) schedule: Schedule,

@@ -50,6 +50,7 @@ impl Trainer {
             plan,
             state,
             device,
+            ..
         } = &mut self.run;
         let (old, dynamic) = (state.model.num_gaussians(), state.model.num_dynamic());
         let room = plan.max_gaussians().saturating_sub(old);

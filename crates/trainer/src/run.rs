@@ -2,6 +2,7 @@
 
 use crate::TrainError;
 use crate::blur::ViewBlur;
+use crate::changes::{Change, changes};
 use crate::look::Look;
 use crate::model::Model;
 use crate::plan::Plan;
@@ -22,6 +23,8 @@ pub struct Run {
     pub(crate) plan: Plan,
     pub(crate) state: State,
     pub(crate) device: Device,
+    /// See [`Self::setback`].
+    pub(crate) setback: Option<TrainError>,
 }
 
 /// A training view, sharp and as the model says that the camera saw it.
@@ -40,6 +43,29 @@ impl Run {
     #[must_use]
     pub fn settings(&self) -> &Settings {
         &self.plan.settings
+    }
+
+    /// Goes on with these settings from here on. The intervals between checkpoints are anyone's; a run may become longer, and
+    /// with `rates` learning rates may change. All else stays what it was, or the result would be neither settings'.
+    ///
+    /// The schedule of a run that becomes longer stays what it was: its moments come when they would have come, and behind its end
+    /// learning rates stay as they were there. So the longer run is the shorter one, bit for bit, and what follows on it.
+    ///
+    /// Gives back what becomes other of what is learned; [`Self::changes`] keeps it.
+    ///
+    /// # Errors
+    /// Names a setting that is out of its range or may not change; nothing has changed then.
+    pub fn change(&mut self, asked: Settings, rates: bool) -> Result<Vec<Change>, TrainError> {
+        let made = changes(&self.plan.settings, &asked, self.iteration(), rates)?;
+        self.plan.settings = asked;
+        self.plan.changes.extend(made.iter().cloned());
+        Ok(made)
+    }
+
+    /// What was changed of the settings on the way, in order.
+    #[must_use]
+    pub fn changes(&self) -> &[Change] {
+        &self.plan.changes
     }
 
     /// What was found in the scene and decided from it.
@@ -70,6 +96,12 @@ impl Run {
     #[must_use]
     pub fn iteration(&self) -> usize {
         self.state.progress.iteration
+    }
+
+    /// The seconds that training took, as far as whoever trained has said so ([`crate::Trainer::count_seconds`]).
+    #[must_use]
+    pub fn seconds(&self) -> f64 {
+        self.state.progress.seconds
     }
 
     /// Whether all iterations are done.

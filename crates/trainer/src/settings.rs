@@ -3,6 +3,8 @@
 mod blur;
 mod ranges;
 
+pub(crate) use ranges::LEAST_ITERATIONS;
+
 pub use blur::{BlurKind, BlurSettings, CameraSettings, TransferKind};
 
 use serde::{Deserialize, Serialize};
@@ -37,6 +39,8 @@ pub struct Settings {
     pub learning_rates: LearningRates,
     /// Iterations between checkpoints that the program writes; 0 for only at the end.
     pub checkpoint_every: usize,
+    /// Minutes between them at most, whatever the number of iterations; 0 for no limit.
+    pub checkpoint_minutes: f64,
 }
 
 impl Default for Settings {
@@ -53,6 +57,7 @@ impl Default for Settings {
             loss: LossSettings::default(),
             learning_rates: LearningRates::default(),
             checkpoint_every: 1000,
+            checkpoint_minutes: 5.0,
         }
     }
 }

@@ -26,7 +26,7 @@ impl State {
 }
 
 /// Where a run is; with the seed it determines every draw to come.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Progress {
     /// Iterations done.
@@ -35,4 +35,6 @@ pub(crate) struct Progress {
     pub(crate) training_draws: usize,
     /// Unseen views shown.
     pub(crate) unseen_draws: usize,
+    /// Seconds that training took.
+    pub(crate) seconds: f64,
 }

@@ -62,6 +62,7 @@ impl Trainer {
             plan,
             state,
             device,
+            ..
         } = &self.run;
         let model = &state.model;
         let view = self.next_view(it);
@@ -176,11 +177,11 @@ impl Trainer {
     /// as there are terms, but only a run that stops pays them.
     fn find_fault(&self, it: usize, view: &ViewRef<'_>) -> Result<TrainError, TrainError> {
         let model = self.model();
-        let fault = |term, parameter: &str, problem| TrainError::NotFinite {
+        let fault = |term, parameter: Option<Parameter>, problem| TrainError::NotFinite {
             iteration: it,
             view: view.viewpoint.name.clone(),
             term,
-            parameter: parameter.to_owned(),
+            parameter: parameter.map(|p| p.name),
             problem,
         };
         let objective = Objective {
@@ -204,14 +205,14 @@ impl Trainer {
             let value = host(loss.clone().detach())[0];
             if let Err((parameter, problem)) = check_gradients(model, &loss) {
                 let problem = format!("the gradient is not finite ({problem})");
-                return Ok(fault(term, &parameter.name, problem));
+                return Ok(fault(term, Some(parameter), problem));
             }
             if !value.is_finite() {
-                return Ok(fault(term, "none", format!("the loss is {value}")));
+                return Ok(fault(term, None, format!("the loss is {value}")));
             }
         }
         let problem = "not finite at first, but finite when computed again".to_owned();
-        Ok(fault("all", "none", problem))
+        Ok(fault("all", None, problem))
     }
 }
 

@@ -3,11 +3,11 @@
 use crate::TrainError;
 use crate::alignment::point_depths;
 use crate::blur::BlurModel;
-use crate::checkpoint::FILE_NAME;
 use crate::corrections::Corrections;
 use crate::coverage::fill;
 use crate::dynamics::start_dynamics;
 use crate::error::{CheckpointProblem, OtherScene, SceneProblem};
+use crate::inputs::Inputs;
 use crate::lifting::liftable;
 use crate::model::Model;
 use crate::objective::Objective;
@@ -15,6 +15,7 @@ use crate::placement::{Seeds, place_points, place_static};
 use crate::plan::{Plan, schedule_of};
 use crate::random::{Purpose, generator, permutation};
 use crate::run::Run;
+use crate::saves::FILE_NAME;
 use crate::schedule::Schedule;
 use crate::scores::Evaluation;
 use crate::settings::Settings;
@@ -87,6 +88,7 @@ impl Trainer {
         if scene.frames.is_empty() {
             return Err(SceneProblem::NoFrames.into());
         }
+        let inputs = Inputs::of(&scene);
         let mut survey = survey(&mut scene)?;
         let device = device.clone().autodiff();
         let dtype = DType::F32;
@@ -164,6 +166,8 @@ impl Trainer {
         let plan = Plan {
             schedule: schedule_of(&settings, &views, &model, !unseen.is_empty()),
             settings,
+            changes: Vec::new(),
+            inputs,
             survey,
             views,
         };
@@ -173,6 +177,7 @@ impl Trainer {
                 plan,
                 state,
                 device,
+                setback: None,
             },
             data: Data::new(scene, unseen),
         })
@@ -184,6 +189,7 @@ impl Trainer {
     /// The scene is another, or was read in another way.
     pub fn resume(mut run: Run, mut scene: Scene) -> Result<Self, TrainError> {
         run.check_scene(&scene)?;
+        run.plan.inputs.check(&scene)?;
         // The survey is made again for what it does to the scene's depth, and must agree.
         let found = survey(&mut scene)?.scene_size;
         let trained = run.plan.survey.scene_size;
@@ -244,6 +250,7 @@ impl Trainer {
             plan,
             state,
             device,
+            ..
         } = &mut self.run;
         let leaf = |values: Vec<f32>, columns| tensor(values, [n, columns], device).require_grad();
         let Model {
@@ -314,6 +321,11 @@ impl Trainer {
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.run.is_done()
+    }
+
+    /// Adds to [`Run::seconds`]: a trainer looks at no clock, but a checkpoint keeps what was told.
+    pub fn count_seconds(&mut self, seconds: f64) {
+        self.run.state.progress.seconds += seconds;
     }
 
     /// See [`Run::save`].

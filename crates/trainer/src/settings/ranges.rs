@@ -3,6 +3,9 @@
 use super::{Settings, TransferKind};
 use crate::TrainError;
 
+/// The shortest run.
+pub(crate) const LEAST_ITERATIONS: usize = 200;
+
 impl Settings {
     /// Checks every range.
     ///
@@ -17,7 +20,7 @@ impl Settings {
             }
         };
         check(
-            self.iterations >= 200,
+            self.iterations >= LEAST_ITERATIONS,
             "iterations",
             "200 or more (a shorter run has no room for the schedule)",
         )?;
@@ -107,6 +110,7 @@ impl Settings {
             (self.unseen.offset, "unseen.offset"),
             (self.unseen.sharpness, "unseen.sharpness"),
             (self.unseen.min_valid, "unseen.min_valid"),
+            (self.checkpoint_minutes, "checkpoint_minutes"),
             (w.ssim, "loss.ssim"),
             (w.depth, "loss.depth"),
             (w.depth_shift, "loss.depth_shift"),

@@ -1,0 +1,125 @@
+//! Whether main memory will do, before a run finds out.
+
+use crate::say::say;
+use std::fs;
+use std::path::Path;
+use trainer::Trainer;
+
+/// Warns where a run may take more memory than the system will give, and says what makes it smaller. Says nothing where the system
+/// does not tell.
+pub(crate) fn warn(trainer: &Trainer, downscale: usize) {
+    let most = trainer.most_gaussians();
+    let need = trainer.memory_need(most);
+    let Some((given, by)) = given() else {
+        return;
+    };
+    if let Some(advice) = advice(need.total(), given, downscale) {
+        let mib = |bytes: u64| bytes >> 20;
+        say!(
+            "warning: training may take {} MiB of memory ({} for the pictures, {} for up to {most} Gaussians, {} for a view and its blur), \
+             and there are {} MiB ({by}): {advice}",
+            mib(need.total()),
+            mib(need.pictures),
+            mib(need.gaussians),
+            mib(need.view),
+            mib(given)
+        );
+    }
+}
+
+/// What makes a need fit into what is given; `None` where it fits.
+fn advice(need: u64, given: u64, downscale: usize) -> Option<String> {
+    if need <= given {
+        return None;
+    }
+    // All that is large grows with the pixels.
+    let share = (need as f64 / given.max(1) as f64).sqrt();
+    let factor = (downscale as f64 * share).ceil().max(2.0);
+    Some(format!(
+        "--downscale {factor:.0} would fit, about; a lower `gaussians.max_per_pixel` and, with kernels, `blur.downscale = 2` take less too"
+    ))
+}
+
+/// Bytes that this process may have in all, and who says so; the least of what Linux tells, elsewhere nothing.
+fn given() -> Option<(u64, &'static str)> {
+    let read = |path: &str| fs::read_to_string(path).ok();
+    let own = read("/proc/self/status").and_then(|text| kib(&text, "VmRSS:"));
+    let free = read("/proc/meminfo").and_then(|text| kib(&text, "MemAvailable:"));
+    let limits = read("/proc/self/limits").and_then(|text| address_space(&text));
+    let group = read("/proc/self/cgroup").and_then(|text| group_limit(&text));
+    let found = [
+        // What it has already is no longer free.
+        (
+            free.map(|free| free + own.unwrap_or(0)),
+            "free on this machine",
+        ),
+        (limits, "the limit of its address space, `ulimit -v`"),
+        (group, "the limit of its control group"),
+    ];
+    let found = found
+        .into_iter()
+        .filter_map(|(bytes, by)| Some((bytes?, by)));
+    found.min_by_key(|(bytes, _)| *bytes)
+}
+
+/// A line `KEY 123 kB`, in bytes.
+fn kib(text: &str, key: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(key))?;
+    let number: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    number.checked_mul(1024)
+}
+
+/// The soft limit in `/proc/self/limits`; `None` without one.
+fn address_space(text: &str) -> Option<u64> {
+    let line = text
+        .lines()
+        .find_map(|l| l.strip_prefix("Max address space"))?;
+    line.split_whitespace().next()?.parse().ok()
+}
+
+/// The limit of the control group that `/proc/self/cgroup` names, of either version; `None` without one.
+fn group_limit(text: &str) -> Option<u64> {
+    let limits = text.lines().filter_map(|line| {
+        let (_, rest) = line.split_once(':')?;
+        let (controllers, path) = rest.split_once(':')?;
+        let path = path.trim_start_matches('/');
+        let root = Path::new("/sys/fs/cgroup");
+        let file = match controllers {
+            "" => root.join(path).join("memory.max"),
+            "memory" => root.join("memory").join(path).join("memory.limit_in_bytes"),
+            _ => return None,
+        };
+        fs::read_to_string(file).ok()?.trim().parse::<u64>().ok()
+    });
+    limits.min()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_system_says_is_read() {
+        let meminfo = "MemTotal:       100 kB\nMemAvailable:    50 kB\n";
+        assert_eq!(kib(meminfo, "MemAvailable:"), Some(50 << 10));
+        assert_eq!(kib(meminfo, "MemFree:"), None);
+        assert_eq!(kib("VmRSS: many kB", "VmRSS:"), None);
+        let limits = |soft: &str| {
+            format!(
+                "Max cpu time  1 2 seconds\nMax address space         {soft}  unlimited  bytes\n"
+            )
+        };
+        assert_eq!(address_space(&limits("4096")), Some(4096));
+        assert_eq!(address_space(&limits("unlimited")), None);
+        assert_eq!(group_limit("0::/no/such/group\nnonsense\n"), None);
+    }
+
+    #[test]
+    fn a_need_that_does_not_fit_comes_with_a_size_that_does() {
+        assert_eq!(advice(100, 100, 1), None);
+        let said = advice(101, 100, 1).expect("it does not fit");
+        assert!(said.starts_with("--downscale 2 "), "{said}");
+        let said = advice(1000, 100, 2).expect("it does not fit");
+        assert!(said.starts_with("--downscale 7 "), "{said}");
+    }
+}

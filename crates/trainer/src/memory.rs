@@ -1,0 +1,96 @@
+//! What a run takes of main memory at its peak, about: fitted to what runs took on the CPU, and held against it by `tests/tests/main_memory.rs`.
+
+use crate::blur::BlurModel;
+use crate::trainer::Trainer;
+
+/// The program, its threads, and what does not grow with a scene.
+const PROGRAM: u64 = 40 << 20;
+/// Of a Gaussian: its 59 numbers, their gradients and moments, and what an iteration makes of each.
+const GAUSSIAN: u64 = 2400;
+/// Of a pixel that is rendered and compared, and goes back.
+const PIXEL: u64 = 300;
+/// Of a pixel that BP-Net sees: its layers, and their gradients.
+const NET_PIXEL: u64 = 1300;
+/// The same for each of a kernel's K² weights.
+const KERNEL_PIXEL: u64 = 12;
+
+/// Bytes of main memory that a run takes at most, by what takes them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MemoryNeed {
+    /// The program itself.
+    pub program: u64,
+    /// Frames, test views, depth, masks, points and unseen views.
+    pub pictures: u64,
+    /// The Gaussians, with their gradients and moments.
+    pub gaussians: u64,
+    /// A view on its way through renderer, blur model and losses.
+    pub view: u64,
+}
+
+impl MemoryNeed {
+    /// All of it.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.program + self.pictures + self.gaussians + self.view
+    }
+}
+
+impl Trainer {
+    /// The most Gaussians that there may be; where they have no limit, as many as there are now.
+    #[must_use]
+    pub fn most_gaussians(&self) -> usize {
+        match self.run.plan.max_gaussians() {
+            usize::MAX => self.run.model().num_gaussians(),
+            most => most,
+        }
+    }
+
+    /// What training takes of main memory at its peak with so many Gaussians, within a factor of two; where tensors live on a GPU, it takes less here.
+    #[must_use]
+    pub fn memory_need(&self, gaussians: usize) -> MemoryNeed {
+        let plan = &self.run.plan;
+        let pixels = plan.views.train[0].camera.num_pixels() as u64;
+        let floats = |values: usize| 4 * values as u64;
+        let scene = &self.data.scene;
+        let frames = scene.frames.iter().map(|frame| {
+            let maps =
+                [&frame.depth, &frame.mask].map(|map| map.as_ref().map_or(0, |m| m.values.len()));
+            floats(frame.view.image.pixels.len() + maps[0] + maps[1])
+        });
+        let test = scene
+            .test
+            .iter()
+            .map(|view| floats(view.image.pixels.len()));
+        let points = self
+            .data
+            .points
+            .iter()
+            .flatten()
+            .map(|map| floats(map.len()));
+        let unseen = self.data.unseen.iter().map(|view| {
+            floats(view.image.len() + view.mask.as_ref().map_or(0, Vec::len))
+                + view.valid.len() as u64
+        });
+        let tracks = scene.tracks.iter().flat_map(|tracks| &tracks.queries);
+        let tracks = tracks.map(|query| floats(4 * query.samples.len()));
+        let blur = &plan.settings.blur;
+        let kernels = match self.run.model().blur {
+            BlurModel::Off | BlurModel::Camera(_) => 0,
+            BlurModel::Kernels(_) | BlurModel::Both(_) => {
+                let weights = (blur.kernel_size * blur.kernel_size) as u64;
+                (NET_PIXEL + KERNEL_PIXEL * weights) / (blur.downscale * blur.downscale) as u64
+            }
+        };
+        MemoryNeed {
+            program: PROGRAM,
+            pictures: frames
+                .chain(test)
+                .chain(points)
+                .chain(unseen)
+                .chain(tracks)
+                .sum(),
+            gaussians: GAUSSIAN * gaussians as u64,
+            view: pixels * (PIXEL + kernels),
+        }
+    }
+}
