@@ -362,3 +362,67 @@ fn a_checkpoint_that_cannot_be_written_is_a_warning_until_the_end() -> Outcome {
     assert!(obstacle.is_dir() && out.join("metrics.json").exists());
     Ok(())
 }
+
+/// Copies a folder with everything in it.
+fn copy(from: &Path, to: &Path) -> Outcome {
+    fs::create_dir_all(to)?;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        let target = to.join(entry.file_name());
+        if entry.file_type()?.is_dir() {
+            copy(&entry.path(), &target)?;
+        } else {
+            fs::copy(entry.path(), target)?;
+        }
+    }
+    Ok(())
+}
+
+#[test]
+fn a_scene_is_checked_by_itself_and_before_it_is_trained_on() -> Outcome {
+    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+    let checked = output(&["check", demo])?;
+    let said = text(&checked.stdout);
+    assert_eq!(checked.status.code(), Some(0), "{said}");
+    for part in [
+        "Shape-of-Motion",
+        "depth maps: 16",
+        "pass  masks",
+        "training would",
+    ] {
+        assert!(said.contains(part), "{said}");
+    }
+
+    let folder = tempfile::tempdir()?;
+    let nothing = output(&["check", path(folder.path())])?;
+    assert_eq!(nothing.status.code(), Some(2));
+    assert!(text(&nothing.stdout).contains("not a scene"));
+
+    let wrong = folder.path().join("demo");
+    copy(Path::new(demo), &wrong)?;
+    for entry in fs::read_dir(wrong.join("masks"))? {
+        let file = entry?.path();
+        let mut mask = io::read_map(&file)?;
+        mask.values.iter_mut().for_each(|v| *v = 1.0 - *v);
+        io::write_map_png(&file, &mask)?;
+    }
+    let checked = output(&["check", path(&wrong)])?;
+    let said = text(&checked.stdout);
+    assert_eq!(checked.status.code(), Some(2), "{said}");
+    assert!(said.contains("wrong  masks"), "{said}");
+
+    let out = folder.path().join("run");
+    let train = ["train", "--scene", path(&wrong), "--out", path(&out)];
+    let short = ["--downscale", "5", "--iterations", "200", "--blur", "off"];
+    let refused = limpid(&train).args(short).output()?;
+    let said = text(&refused.stderr);
+    assert!(!refused.status.success(), "{said}");
+    assert!(
+        said.contains("--force") && said.contains("wrong  masks"),
+        "{said}"
+    );
+    assert!(!out.exists(), "nothing was begun");
+    let forced = limpid(&train).args(short).arg("--force").output()?;
+    assert!(forced.status.success(), "{}", text(&forced.stderr));
+    Ok(())
+}
