@@ -16,7 +16,7 @@ fn scenes() -> Vec<(String, Scene)> {
             folders.extend(paths.filter(|path| path.is_dir()));
         }
         None => {
-            eprintln!("LIMPID_SCENES names no folder with more scenes: only the demo is looked at")
+            eprintln!("LIMPID_SCENES names no folder with more scenes: only the demo is looked at");
         }
     }
     let open = |path: PathBuf| {

@@ -6,6 +6,7 @@
 
 mod depth;
 mod finding;
+mod fit;
 mod masks;
 mod poses;
 mod reading;
@@ -18,7 +19,7 @@ use io::Scene;
 /// Looks at a scene as it was read, before [`crate::survey()`] aligns its depth. What is not there is not looked at.
 #[must_use]
 pub fn check(scene: &Scene) -> Vec<Finding> {
-    let fits = reading::fits(scene);
+    let fits = fit::fits(scene);
     let mut findings = Vec::new();
     findings.extend(depth::check(&fits));
     findings.extend(poses::check(&fits));

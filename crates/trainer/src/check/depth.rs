@@ -1,7 +1,7 @@
 //! Depth against the sparse points.
 
 use super::finding::{Finding, Verdict};
-use super::reading::{Fit, PointFit, better};
+use super::fit::{Fit, PointFit, better};
 
 /// Depth that misses the points by less than this share is as good as estimators make it.
 const GOOD: f64 = 0.1;

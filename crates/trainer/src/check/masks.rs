@@ -1,7 +1,7 @@
 //! Masks: how much they say moves, and whether that does.
 
 use super::finding::{Finding, Verdict};
-use super::reading::{Fit, moving_share};
+use super::fit::{Fit, moving_share};
 use io::Scene;
 
 /// Movers that fill more of the pictures than this leave too little that is still.

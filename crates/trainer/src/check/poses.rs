@@ -1,7 +1,7 @@
 //! Poses against pictures: frames warped to others, and points in the frames.
 
 use super::finding::{Finding, Verdict};
-use super::reading::{Fit, better};
+use super::fit::{Fit, better};
 
 /// Pixels that go less far say nothing of poses, px.
 const LEAST_SHIFT: f64 = 1.0;
@@ -21,7 +21,7 @@ pub(super) fn check(fits: &[Fit]) -> Vec<Finding> {
 fn proposal(fits: &[Fit]) -> Option<(String, &Fit)> {
     let best = better(fits)?;
     let Fit { reading, scale, .. } = best;
-    let poses = reading.poses.map(|poses| format!("poses as {poses}"));
+    let poses = reading.poses().map(|poses| format!("poses as {poses}"));
     let depth = match (reading.inverse_depth, reading.free_scale) {
         (true, _) => Some("depth as inverse depth".to_owned()),
         (false, true) => Some(format!("depth times {scale:.2e}")),

@@ -1,7 +1,7 @@
 //! Tracks: whether they lie in the pictures and on the masks, and follow the poses where nothing moves.
 
 use super::finding::{Finding, Verdict};
-use super::reading::Fit;
+use super::fit::Fit;
 use crate::lifting::{Liftable, is_inside, is_sure, liftable, position};
 use crate::placement::{dilate, pixels_at_256};
 use crate::statistics::median;

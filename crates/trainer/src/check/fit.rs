@@ -1,0 +1,365 @@
+//! How well a reading of depth and poses agrees with points and pictures.
+
+use super::reading::{Reading, readings};
+use crate::alignment::{DisparityFit, MIN_POINTS, points_from};
+use crate::correspondence::seen_in;
+use crate::lifting::sample_color;
+use crate::statistics::median;
+use crate::views::{pixel_index, seen_at};
+use glam::{DAffine3, DVec2, DVec3};
+use io::Scene;
+
+/// About so many pixels of a picture are looked up in another.
+const LOOKED_UP: usize = 4000;
+/// At most so many pairs of frames are compared.
+const PAIRS: usize = 48;
+/// … and so many where a scale is looked for.
+const FEW_PAIRS: usize = 6;
+/// Of so many pixels one is enough for a frame's median depth.
+const SPARSE: usize = 17;
+/// Pairs that share fewer pixels than this share of what was looked up say nothing.
+const LEAST_SHARED: f64 = 0.1;
+/// Frames that are moved to where they differ more, by this factor, than unmoved ones are moved by no rule at all.
+const NOT_AT_ALL: f64 = 2.0;
+/// A reading that disagrees by less than this share of another is clearly better.
+const CLEARLY: f64 = 0.7;
+/// Points whose colour is compared in a frame, at most.
+const COLORED: usize = 500;
+
+/// How a frame's depth goes with the sparse points, over all frames.
+#[derive(Clone, Debug)]
+pub(super) struct PointFit {
+    /// Frames that see enough points.
+    pub(super) frames: usize,
+    /// Those of them where near and far are exchanged.
+    pub(super) upside_down: usize,
+    /// Median share by which disparity, aligned frame by frame, misses that of the points.
+    pub(super) error: f64,
+    /// The same for a frame's median disparity in the place of its depth.
+    pub(super) spread: f64,
+    /// Least and largest scale of the frames' alignment.
+    pub(super) scales: [f64; 2],
+}
+
+/// How frames, warped to others by depth and pose, resemble them.
+#[derive(Clone, Debug)]
+pub(super) struct WarpFit {
+    /// Pairs of frames that share enough; where none does, the rest is as by chance.
+    pub(super) pairs: usize,
+    /// Difference to the other frame, as a share of that of the unwarped frame, over all pairs.
+    pub(super) ratio: f64,
+    /// Difference where the mask says that things move, over that elsewhere; `None` without enough of both.
+    pub(super) moving: Option<f64>,
+    /// How far pixels go at the median, px.
+    pub(super) shift_px: f64,
+}
+
+/// How points, projected into the frames, have the pictures' colours.
+#[derive(Clone, Debug)]
+pub(super) struct ColorFit {
+    /// Share of the points that some frame has in its picture.
+    pub(super) seen: f64,
+    /// Median difference of colours, as a share of that between points and other points' places.
+    pub(super) ratio: f64,
+}
+
+/// What a reading makes of a scene.
+#[derive(Clone, Debug)]
+pub(super) struct Fit {
+    pub(super) reading: Reading,
+    pub(super) points: Option<PointFit>,
+    pub(super) warp: Option<WarpFit>,
+    pub(super) colors: Option<ColorFit>,
+    /// How each frame's depth is aligned to the points; `None` where it is not.
+    alignments: Vec<Option<DisparityFit>>,
+    /// What depth that is not aligned is multiplied by.
+    pub(super) scale: f64,
+}
+
+impl Fit {
+    /// How little the inputs agree in this reading: 0 in full, 1 and more as if by chance.
+    pub(super) fn disagreement(&self) -> Option<f64> {
+        let measures = [
+            self.points.as_ref().map(PointFit::disagreement),
+            self.warp.as_ref().map(|w| w.ratio.min(NOT_AT_ALL)),
+            self.colors.as_ref().map(|c| c.ratio.min(1.0)),
+        ];
+        let known: Vec<f64> = measures.into_iter().flatten().collect();
+        (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
+    }
+
+    /// z-depth of a frame's pixel, aligned to the points; 0 where it is missing.
+    pub(super) fn depth(&self, scene: &Scene, frame: usize, pixel: usize) -> f64 {
+        let z = self.reading.depth(&scene.frames[frame], pixel);
+        match &self.alignments[frame] {
+            Some(fit) if z > 0.0 => fit.depth(z),
+            _ => self.scale * z,
+        }
+    }
+
+    /// Pose of a frame's camera.
+    pub(super) fn pose(&self, scene: &Scene, frame: usize) -> DAffine3 {
+        self.reading.pose(&scene.frames[frame])
+    }
+}
+
+impl PointFit {
+    /// 0 where depth and points agree, 1 where depth says nothing of the points, or the contrary of what it should.
+    pub(super) fn disagreement(&self) -> f64 {
+        let upside_down = self.upside_down as f64 / self.frames.max(1) as f64;
+        (self.error / self.spread.max(1e-9))
+            .min(1.0)
+            .max(upside_down)
+    }
+}
+
+/// What each reading makes of a scene; as given first. Where masks cover most of the pictures, the rest is what moves.
+pub(super) fn fits(scene: &Scene) -> Vec<Fit> {
+    let has_depth = scene.frames.iter().any(|f| f.depth.is_some());
+    let inverse_masks = moving_share(scene).is_some_and(|share| share > 0.5);
+    let free_scale = has_depth && scene.points.len() < MIN_POINTS;
+    let mut readings = readings(scene.layout, inverse_masks, free_scale);
+    if !has_depth {
+        readings.retain(|r| !r.inverse_depth);
+    }
+    readings.into_iter().map(|r| fit(scene, r)).collect()
+}
+
+/// Mean share of the pictures that masks say moves; `None` without masks.
+pub(super) fn moving_share(scene: &Scene) -> Option<f64> {
+    let masks = scene.frames.iter().filter_map(|f| f.mask.as_ref());
+    let shares = masks.map(|m| {
+        let moving = m.values.iter().filter(|v| **v > 0.5).count();
+        moving as f64 / m.values.len().max(1) as f64
+    });
+    let shares: Vec<f64> = shares.collect();
+    (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
+}
+
+/// What the reading makes most of, if that is clearly more than what the reading as given makes of a scene.
+pub(super) fn better(fits: &[Fit]) -> Option<&Fit> {
+    let given = fits.first()?.disagreement()?;
+    let others = fits[1..].iter();
+    let known = others.filter_map(|fit| Some((fit, fit.disagreement()?)));
+    let (best, found) = known.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (found < CLEARLY * given).then_some(best)
+}
+
+fn fit(scene: &Scene, reading: Reading) -> Fit {
+    let (points, alignments) = fit_points(scene, &reading);
+    let mut fit = Fit {
+        reading,
+        points,
+        warp: None,
+        colors: fit_colors(scene, &reading),
+        alignments,
+        scale: 1.0,
+    };
+    if reading.free_scale {
+        fit.scale = best_scale(scene, &fit);
+    }
+    fit.warp = fit_warp(scene, &fit, PAIRS);
+    fit
+}
+
+/// The scale of depth with which frames are moved best, from where depth is as far as cameras are apart to a thousand times that.
+fn best_scale(scene: &Scene, fit: &Fit) -> f64 {
+    let frames = 0..scene.frames.len();
+    let centers: Vec<DVec3> = frames
+        .clone()
+        .map(|k| fit.pose(scene, k).inverse().translation)
+        .collect();
+    let steps: Vec<f64> = centers.windows(2).map(|c| c[0].distance(c[1])).collect();
+    let depths = frames.filter_map(|k| {
+        let pixels = scene.frames[k].depth.as_ref()?.values.len();
+        let known = (0..pixels).step_by(SPARSE).map(|i| fit.depth(scene, k, i));
+        let known: Vec<f64> = known.filter(|z| *z > 0.0).collect();
+        (!known.is_empty()).then(|| median(&known))
+    });
+    let depths: Vec<f64> = depths.collect();
+    if steps.is_empty() || depths.is_empty() || median(&steps) <= 0.0 {
+        return 1.0;
+    }
+    let unit = median(&steps) / median(&depths);
+    let scales = (0..=24).map(|k| unit * 10_f64.powf(f64::from(k) / 8.0));
+    let ratio = |scale: f64| {
+        let scaled = Fit {
+            scale,
+            ..fit.clone()
+        };
+        fit_warp(scene, &scaled, FEW_PAIRS).map_or(f64::INFINITY, |warp| warp.ratio)
+    };
+    let rated = scales.map(|scale| (ratio(scale), scale));
+    rated
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or(1.0, |best| best.1)
+}
+
+fn fit_points(scene: &Scene, reading: &Reading) -> (Option<PointFit>, Vec<Option<DisparityFit>>) {
+    let (mut errors, mut spreads, mut scales) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut frames, mut upside_down) = (0, 0);
+    let alignments = scene.frames.iter().map(|frame| {
+        let pose = reading.pose(frame);
+        let seen = points_from(frame, &pose, &scene.points);
+        let pairs = seen.filter_map(|(i, point)| {
+            let z = reading.depth(frame, i);
+            (z > 0.0 && !reading.moves(frame, i)).then_some((1.0 / z, 1.0 / point))
+        });
+        let pairs: Vec<(f64, f64)> = pairs.collect();
+        if pairs.len() < MIN_POINTS {
+            return None;
+        }
+        frames += 1;
+        let fit = DisparityFit::of(&pairs);
+        let truth: Vec<f64> = pairs.iter().map(|p| p.1).collect();
+        let middle = median(&truth);
+        errors.extend(
+            pairs
+                .iter()
+                .map(|(x, y)| (fit.scale * x + fit.shift - y).abs() / y),
+        );
+        spreads.extend(truth.iter().map(|y| (middle - y).abs() / y));
+        if !fit.is_upright() {
+            upside_down += 1;
+            return None;
+        }
+        scales.push(fit.scale);
+        Some(fit)
+    });
+    let alignments = alignments.collect();
+    let points = (frames > 0).then(|| PointFit {
+        frames,
+        upside_down,
+        error: median(&errors),
+        spread: median(&spreads),
+        scales: [
+            scales.iter().copied().fold(f64::INFINITY, f64::min),
+            scales.iter().copied().fold(0.0, f64::max),
+        ],
+    });
+    (points, alignments)
+}
+
+/// Mean difference of two colours.
+fn difference(a: [f32; 3], b: [f32; 3]) -> f64 {
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| f64::from((a - b).abs()) / 3.0)
+        .sum()
+}
+
+fn fit_colors(scene: &Scene, reading: &Reading) -> Option<ColorFit> {
+    let points = &scene.points;
+    if points.len() < MIN_POINTS {
+        return None;
+    }
+    let mut seen = vec![false; points.len()];
+    let (mut own, mut others) = (Vec::new(), Vec::new());
+    for frame in &scene.frames {
+        let pose = reading.pose(frame);
+        let camera = &frame.view.camera;
+        let mut visible = Vec::new();
+        for (k, point) in points.iter().enumerate() {
+            let at = seen_at(camera, pose.transform_point3(point.position));
+            let Some(at) = at else { continue };
+            seen[k] = true;
+            if !reading.moves(frame, pixel_index(camera, at)) {
+                visible.push((k, sample_color(frame, at)));
+            }
+        }
+        let step = visible.len().div_ceil(COLORED).max(1);
+        let chosen: Vec<_> = visible.into_iter().step_by(step).collect();
+        for (j, (k, color)) in chosen.iter().enumerate() {
+            let (_, other) = chosen[(j + chosen.len() / 2) % chosen.len()];
+            own.push(difference(points[*k].color, *color));
+            others.push(difference(points[*k].color, other));
+        }
+    }
+    let share = seen.iter().filter(|s| **s).count() as f64 / points.len() as f64;
+    // Points that are seen nowhere, or that have one colour all, tell nothing of colours.
+    let by_chance = if others.is_empty() {
+        0.0
+    } else {
+        median(&others)
+    };
+    let ratio = if by_chance > 0.01 {
+        median(&own) / by_chance
+    } else {
+        1.0
+    };
+    Some(ColorFit { seen: share, ratio })
+}
+
+/// Pairs of frames, one and a few apart.
+fn pairs(num_frames: usize, most: usize) -> Vec<(usize, usize)> {
+    let apart = [1, (num_frames / 6).max(2)];
+    let all = apart
+        .iter()
+        .flat_map(|k| (*k..num_frames).map(move |b| (b - k, b)));
+    let all: Vec<_> = all.collect();
+    let step = all.len().div_ceil(most).max(1);
+    all.into_iter().step_by(step).collect()
+}
+
+fn fit_warp(scene: &Scene, fit: &Fit, most_pairs: usize) -> Option<WarpFit> {
+    let pixels = scene.frames.first()?.view.camera.num_pixels();
+    let step = pixels.div_ceil(LOOKED_UP).isqrt().max(1);
+    let (mut count, mut still, mut unwarped, mut moving) = (0, [0.0; 2], [0.0; 2], [0.0; 2]);
+    let mut shifts = Vec::new();
+    for (a, b) in pairs(scene.frames.len(), most_pairs) {
+        let (from, to) = (&scene.frames[a], &scene.frames[b]);
+        let other_from_camera = fit.pose(scene, b) * fit.pose(scene, a).inverse();
+        let depth = |i: usize| fit.depth(scene, a, i);
+        let seen: Vec<_> = seen_in(
+            &from.view.camera,
+            depth,
+            &to.view.camera,
+            other_from_camera,
+            step,
+        )
+        .collect();
+        if (seen.len() * step * step) as f64 <= LEAST_SHARED * pixels as f64 {
+            continue;
+        }
+        count += 1;
+        for seen in seen {
+            let width = from.view.camera.width;
+            let center = DVec2::new(
+                (seen.pixel % width) as f64 + 0.5,
+                (seen.pixel / width) as f64 + 0.5,
+            );
+            let own = sample_color(from, center);
+            let warped = difference(own, sample_color(to, seen.at));
+            if fit.reading.moves(from, seen.pixel) {
+                moving = [moving[0] + 1.0, moving[1] + warped];
+                continue;
+            }
+            still = [still[0] + 1.0, still[1] + warped];
+            unwarped = [
+                unwarped[0] + 1.0,
+                unwarped[1] + difference(own, sample_color(to, center)),
+            ];
+            shifts.push(seen.at.distance(center));
+        }
+    }
+    let has_depth = scene.frames.iter().any(|f| f.depth.is_some());
+    if count == 0 && has_depth && scene.frames.len() > 1 {
+        return Some(WarpFit {
+            pairs: 0,
+            ratio: NOT_AT_ALL,
+            moving: None,
+            shift_px: f64::INFINITY,
+        });
+    }
+    let mean = |sum: [f64; 2]| sum[1] / sum[0];
+    let enough = |sum: [f64; 2]| sum[0] >= MIN_POINTS as f64;
+    if count == 0 || !enough(still) || mean(unwarped) <= 0.0 {
+        return None;
+    }
+    Some(WarpFit {
+        pairs: count,
+        ratio: mean(still) / mean(unwarped),
+        moving: (enough(moving) && mean(still) > 0.0).then(|| mean(moving) / mean(still)),
+        shift_px: median(&shifts),
+    })
+}
