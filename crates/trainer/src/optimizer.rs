@@ -89,7 +89,9 @@ pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize
             let boost = schedule.short_run_boost(r.short_run_boost);
             r.blur * boost * decay(share, length)
         }
-        Group::CameraPath => return rigid(r.camera_path * camera, columns),
+        Group::CameraPath => {
+            return rigid(r.camera_path * camera * schedule.long_run_calm(), columns);
+        }
         Group::CameraFocus => r.camera_focus * camera,
         // Before its frames have found their focus an aperture shrinks to nothing, where it has no gradient.
         Group::CameraAperture if schedule.blur_moments.last() >= Some(&it) => 0.0,

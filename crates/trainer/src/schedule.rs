@@ -38,6 +38,9 @@ pub struct Modelled {
     pub blur_moments: Vec<usize>,
 }
 
+/// From so many iterations on paths learn the slower the longer the run is.
+const CALM_ITERATIONS: usize = 3000;
+
 /// A moment of a run of 40,000 iterations in one of n.
 pub(crate) fn scaled_moment(moment: usize, n: usize) -> usize {
     (moment as f64 * (n as f64 / REFERENCE_ITERATIONS as f64)) as usize
@@ -133,6 +136,17 @@ impl Schedule {
             .sqrt()
             .min(limit)
             .max(1.0)
+    }
+
+    /// Factor by which paths learn slower in long runs: `min(1, (3000 / iterations)^1/2)`.
+    ///
+    /// Adam steps by its rate however small the gradient is, so that a path that nothing holds walks at random, as far as the
+    /// rate times the root of its steps; the scene goes with it.
+    #[must_use]
+    pub fn long_run_calm(&self) -> f64 {
+        (CALM_ITERATIONS as f64 / self.iterations as f64)
+            .sqrt()
+            .min(1.0)
     }
 }
 
@@ -258,6 +272,15 @@ mod tests {
         );
         assert_eq!(s.densify_dynamic_at, None);
         assert!((1..=3000).all(|it| !s.is_unseen(it)));
+    }
+
+    #[test]
+    fn paths_walk_as_far_in_a_long_run_as_in_a_short_one() {
+        let walk = |n: usize| schedule(n, 24).long_run_calm() * (n as f64).sqrt();
+        assert_eq!(schedule(200, 24).long_run_calm(), 1.0);
+        for n in [3000, 10_000, 40_000, 200_000] {
+            assert!((walk(n) / walk(3000) - 1.0).abs() < 1e-12, "{n}");
+        }
     }
 
     #[test]

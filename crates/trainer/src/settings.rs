@@ -338,7 +338,8 @@ pub struct LearningRates {
     /// In short runs the blur model learns faster by `min(this, s^-1/2)`, s = iterations / 40,000. Motion does not: what it
     /// learns faster than the blur model it takes from it, as per-frame shifts in the place of kernels.
     pub short_run_boost: f64,
-    /// The camera's paths: rotation vectors, rad. Translations, in units of S, learn at a fifth of it.
+    /// The camera's paths: turns, rad. Translations, in units of S, learn at a fifth of it. Runs of more than 3,000 iterations learn
+    /// slower, by the root of how many times longer they are ([`crate::schedule::Schedule::long_run_calm`]).
     pub camera_path: f64,
     /// Disparities of focus (S / distance).
     pub camera_focus: f64,
