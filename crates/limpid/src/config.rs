@@ -134,6 +134,13 @@ impl Config {
         }
     }
 
+    /// Run options and settings in one table, as a config file has them.
+    fn table(&self) -> Result<Table, Failure> {
+        let mut table = Table::try_from(&self.settings)?;
+        merge(&mut table, Table::try_from(&self.run)?);
+        Ok(table)
+    }
+
     /// Reads a run's configuration from its output folder.
     pub(crate) fn of_run(folder: &Path) -> Result<Self, Failure> {
         let path = folder.join(CONFIG_FILE);
@@ -219,9 +226,7 @@ pub(crate) fn read_table(path: &Path) -> Result<Table, Failure> {
     let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
     if path.extension().is_some_and(|e| e == "json") {
         let config = parse_json(&text, path)?;
-        let mut table = Table::try_from(&config.settings)?;
-        merge(&mut table, Table::try_from(&config.run)?);
-        return Ok(table);
+        return config.table();
     }
     let mut table: Table = toml::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;
     split(table.clone()).map_err(|e| in_file(path, line_of(&text, &e.key), &e))?;
@@ -300,8 +305,7 @@ fn split(mut table: Table) -> Result<Config, Mistake> {
 
 /// Run options and settings; what the table leaves out is as in `base`.
 pub(crate) fn from_table(table: Table, base: &Config) -> Result<Config, Failure> {
-    let mut all = Table::try_from(&base.settings)?;
-    merge(&mut all, Table::try_from(&base.run)?);
+    let mut all = base.table()?;
     merge(&mut all, table);
     let config = Config {
         changes: base.changes.clone(),

@@ -1,12 +1,13 @@
 //! A run that is killed at random moments and goes on each time ends as one that was left alone, bit for bit.
 //!
-//! `LIMPID_KILLS` says how many kills; 6 without it. RESULTS and RELIABILITY speak of 200.
+//! `LIMPID_KILLS` says how many kills; 6 without it. docs/RELIABILITY.md speaks of 200.
 
 use std::error::Error;
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
+use trainer::{CHECKPOINT_FILE, PREVIOUS_CHECKPOINT_FILE};
 
 const KILLS: usize = 6;
 const SEED: u64 = 1;
@@ -94,7 +95,7 @@ fn runs_that_are_killed_end_as_those_that_are_not() -> Result<(), Box<dyn Error>
                 break;
             }
             kills += 1;
-            let saved = ["state.safetensors", "previous.safetensors"];
+            let saved = [CHECKPOINT_FILE, PREVIOUS_CHECKPOINT_FILE];
             let is_saved = saved
                 .iter()
                 .any(|name| out.join("checkpoint").join(name).exists());

@@ -7,6 +7,8 @@ use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::time::Duration;
 
+const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+
 type Outcome = Result<(), Box<dyn Error>>;
 
 fn limpid(args: &[&str]) -> Command {
@@ -29,7 +31,6 @@ fn path(path: &Path) -> &str {
 
 /// The demo at 32x18 into a folder, the shortest run there is, with its standard error to be read.
 fn start(out: &Path, more: &[&str]) -> Result<(Child, BufReader<ChildStderr>), Box<dyn Error>> {
-    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
     let short = [
         "--downscale",
         "5",
@@ -38,7 +39,7 @@ fn start(out: &Path, more: &[&str]) -> Result<(Child, BufReader<ChildStderr>), B
         "--blur",
         "camera",
     ];
-    let mut command = limpid(&["train", "--scene", demo, "--out", path(out)]);
+    let mut command = limpid(&["train", "--scene", DEMO, "--out", path(out)]);
     command.args(short).args(more).stderr(Stdio::piped());
     let mut child = command.spawn()?;
     let lines = BufReader::new(child.stderr.take().ok_or("it is piped")?);
@@ -109,8 +110,7 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
     edited["run"]["downscale"] = 4.into();
     fs::write(out.join("config.json"), edited.to_string())?;
     let resume = ["train", "--resume", "--out", path(&out)];
-    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
-    let render = ["render", path(&out), "--scene", demo];
+    let render = ["render", path(&out), "--scene", DEMO];
     for command in [&resume[..], &["eval", path(&out)], &render] {
         let refused = output(command)?;
         let said = text(&refused.stderr);
@@ -380,8 +380,7 @@ fn copy(from: &Path, to: &Path) -> Outcome {
 
 #[test]
 fn a_scene_is_checked_by_itself_and_before_it_is_trained_on() -> Outcome {
-    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
-    let checked = output(&["check", demo])?;
+    let checked = output(&["check", DEMO])?;
     let said = text(&checked.stdout);
     assert_eq!(checked.status.code(), Some(0), "{said}");
     for part in [
@@ -399,7 +398,7 @@ fn a_scene_is_checked_by_itself_and_before_it_is_trained_on() -> Outcome {
     assert!(text(&nothing.stdout).contains("not a scene"));
 
     let wrong = folder.path().join("demo");
-    copy(Path::new(demo), &wrong)?;
+    copy(Path::new(DEMO), &wrong)?;
     for entry in fs::read_dir(wrong.join("masks"))? {
         let file = entry?.path();
         let mut mask = io::read_map(&file)?;

@@ -19,11 +19,12 @@ use io::Scene;
 /// Looks at a scene as it was read, before [`crate::survey()`] aligns its depth. What is not there is not looked at.
 #[must_use]
 pub fn check(scene: &Scene) -> Vec<Finding> {
-    let fits = fit::fits(scene);
+    let moving_share = masks::moving_share(scene);
+    let fits = fit::fits(scene, moving_share);
     let mut findings = Vec::new();
     findings.extend(depth::check(&fits));
     findings.extend(poses::check(&fits));
-    findings.extend(masks::check(scene, &fits));
+    findings.extend(moving_share.and_then(|share| masks::check(share, &fits)));
     findings.extend(tracks::check(scene, &fits));
     findings
 }

@@ -1,6 +1,6 @@
 //! Which places of two frames show the same, by depth and pose.
 
-use crate::views::seen_at;
+use crate::views::{pixel_center, seen_at};
 use glam::{DAffine3, DVec2};
 use splat_core::Camera;
 
@@ -9,7 +9,9 @@ use splat_core::Camera;
 pub(crate) struct Seen {
     /// Index of the pixel.
     pub(crate) pixel: usize,
-    /// Where its centre is in the other picture, px.
+    /// Its centre, px.
+    pub(crate) center: DVec2,
+    /// Where that is in the other picture, px.
     pub(crate) at: DVec2,
     /// Its z-depth there.
     pub(crate) depth: f64,
@@ -32,11 +34,12 @@ pub(crate) fn seen_in<'a>(
         if z <= 0.0 {
             return None;
         }
-        let center = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let center = pixel_center(camera, pixel);
         let seen = other_from_camera.transform_point3(camera.unproject(center, z));
         let at = seen_at(other, seen)?;
         Some(Seen {
             pixel,
+            center,
             at,
             depth: seen.z,
         })

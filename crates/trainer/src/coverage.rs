@@ -13,15 +13,16 @@ use std::collections::VecDeque;
 /// Pixels through which more of the light passes than this are covered by no Gaussian.
 const LIGHT_THROUGH: f32 = 0.9;
 
-/// What was not covered, and what covers it.
-#[derive(Debug, Default)]
+/// The scene at the start with what covers all of it.
+#[derive(Debug)]
 pub(crate) struct Filled {
-    /// New static Gaussians.
-    pub(crate) seeds: Seeds,
+    pub(crate) world: World,
+    /// New static Gaussians in it.
+    more: usize,
     /// Pixels of all frames that no Gaussian covered; those that a Gaussian placed for an earlier frame covers are none.
-    pub(crate) holes: usize,
+    holes: usize,
     /// Pixels of all frames.
-    pub(crate) pixels: usize,
+    pixels: usize,
 }
 
 impl Filled {
@@ -32,7 +33,7 @@ impl Filled {
             holes => format!(
                 "{holes} pixels of the frames ({:.2} %) were covered by no Gaussian: {} more",
                 100.0 * holes as f64 / self.pixels as f64,
-                self.seeds.means.len()
+                self.more
             ),
         }
     }
@@ -53,7 +54,8 @@ pub(crate) fn fill(
     room: usize,
     world: impl Fn(Seeds) -> World,
 ) -> Result<Filled, TrainError> {
-    let mut filled = Filled::default();
+    let mut seeds = Seeds::default();
+    let (mut all_holes, mut pixels) = (0, 0);
     let mut current = world(Seeds::default());
     let has_movers = current.motion.is_some();
     for (frame, viewpoint) in scene.frames.iter().zip(&views.train) {
@@ -69,22 +71,22 @@ pub(crate) fn fill(
         };
         let rendered = render_sharp(&current.detached(), &look)?;
         let alpha = host(rendered.alpha());
-        filled.pixels += alpha.len();
+        pixels += alpha.len();
         let moves = |i: usize| {
             let mask = frame.mask.as_ref().filter(|_| has_movers);
             mask.is_some_and(|m| m.values[i] > 0.5)
         };
         let is_hole = |i: &usize| alpha[*i] < 1.0 - LIGHT_THROUGH && !moves(*i);
         let holes: Vec<usize> = (0..alpha.len()).filter(is_hole).collect();
-        filled.holes += holes.len();
-        if holes.is_empty() || filled.seeds.means.len() >= room {
+        all_holes += holes.len();
+        if holes.is_empty() || seeds.means.len() >= room {
             continue;
         }
         let depth = depth_of_holes(frame, &alpha, &host(rendered.depth()), far);
         let width = viewpoint.camera.width;
         let mut covered = vec![false; alpha.len()];
         for i in holes {
-            if covered[i] || filled.seeds.means.len() >= room {
+            if covered[i] || seeds.means.len() >= room {
                 continue;
             }
             let (x, y) = (i % width, i / width);
@@ -92,15 +94,20 @@ pub(crate) fn fill(
                 covered[row * width + x.saturating_sub(1)..=row * width + (x + 1).min(width - 1)]
                     .fill(true);
             }
-            filled.seeds.means.push(lift(frame, i, depth[i]));
-            filled.seeds.colors.push(pixel_color(frame, i));
-            filled.seeds.scales.push(match viewpoint.camera.model {
+            seeds.means.push(lift(frame, i, depth[i]));
+            seeds.colors.push(pixel_color(frame, i));
+            seeds.scales.push(match viewpoint.camera.model {
                 CameraModel::Pinhole => depth[i] / viewpoint.camera.fx,
             });
         }
-        current = world(filled.seeds.clone());
+        current = world(seeds.clone());
     }
-    Ok(filled)
+    Ok(Filled {
+        world: current,
+        more: seeds.means.len(),
+        holes: all_holes,
+        pixels,
+    })
 }
 
 /// z-depth of every pixel: its own, where it is missing what is rendered at the nearest pixel that is covered, and `far` where

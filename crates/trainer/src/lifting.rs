@@ -1,6 +1,7 @@
 //! Lifts 2D tracks to 3D by depth: a point is where its pixel's ray meets the depth of the mover in that frame.
 
 use crate::random::{Purpose, generator, sample};
+use crate::views::is_inside;
 use glam::{DVec2, DVec3};
 use io::{Frame, Map, QueryTracks, Scene, TrackSample};
 use motion_bases::Tracks3d;
@@ -83,7 +84,7 @@ impl std::fmt::Display for Liftable {
 pub(crate) fn liftable(scene: &Scene) -> Liftable {
     let mut found = Liftable::default();
     let queries = scene.tracks.iter().flat_map(|t| &t.queries);
-    let rows = queries.flat_map(|q| q.samples.chunks_exact(scene.frames.len()));
+    let rows = queries.flat_map(|q| q.samples.chunks_exact(scene.frames.len().max(1)));
     for (frame, s) in rows.flat_map(|row| scene.frames.iter().zip(row)) {
         let pixel = position(s);
         if !is_sure(s) {
@@ -116,10 +117,6 @@ pub(crate) fn position(sample: &TrackSample) -> DVec2 {
 /// Whether the tracker says that a track is visible there, and is sure of the place.
 pub(crate) fn is_sure(sample: &TrackSample) -> bool {
     (1.0 - sigmoid(sample.occlusion)) * (1.0 - sigmoid(sample.expected_distance)) > 0.5
-}
-
-pub(crate) fn is_inside(width: usize, height: usize, pixel: DVec2) -> bool {
-    (0.0..width as f64).contains(&pixel.x) && (0.0..height as f64).contains(&pixel.y)
 }
 
 /// Weights of a pixel's four neighbours sum to 1 only to rounding: a corner that hardly counts may lie outside.

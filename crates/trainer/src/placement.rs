@@ -3,7 +3,8 @@
 use crate::neighbors::mean_neighbor_distances;
 use crate::random::{Purpose, generator, sample};
 use crate::settings::GaussianSettings;
-use glam::{DVec2, DVec3};
+use crate::views::pixel_center;
+use glam::DVec3;
 use io::{Frame, Map, Scene};
 use splat_core::CameraModel;
 use unseen_views::depth_edges;
@@ -87,10 +88,7 @@ fn with_neighbor_scales(means: Vec<DVec3>, colors: Vec<[f32; 3]>, floors: &[f64]
 /// The world point of pixel `i` (row-major) at z-depth `z`.
 pub(crate) fn lift(frame: &Frame, i: usize, z: f64) -> DVec3 {
     let camera = &frame.view.camera;
-    let center = DVec2::new(
-        (i % camera.width) as f64 + 0.5,
-        (i / camera.width) as f64 + 0.5,
-    );
+    let center = pixel_center(camera, i);
     frame
         .view
         .cam_from_world

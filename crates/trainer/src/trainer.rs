@@ -153,7 +153,7 @@ impl Trainer {
         let filled = fill(&scene, &views, size, room, world)?;
         survey.notes.push(filled.note());
         let model = Model {
-            world: world(filled.seeds),
+            world: filled.world,
             blur: BlurModel::new(&settings, &survey, &views, (&device, dtype))?,
             corrections: Corrections::new(&settings, &survey, &views, (&device, dtype)),
         };

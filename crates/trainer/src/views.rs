@@ -50,18 +50,29 @@ pub(crate) fn poses_of(poses: Tensor<3>) -> Vec<DAffine3> {
     rows.map(|rows| pose_of(&rows.map(f64::from))).collect()
 }
 
+/// Whether a place lies in a picture of this size, px.
+pub(crate) fn is_inside(width: usize, height: usize, at: DVec2) -> bool {
+    (0.0..width as f64).contains(&at.x) && (0.0..height as f64).contains(&at.y)
+}
+
 /// Where a camera sees a point of its space, in pixels; `None` behind the camera and outside of the picture.
 pub(crate) fn seen_at(camera: &Camera, point: DVec3) -> Option<DVec2> {
     let pixel = camera.project(point);
-    let inside = point.z > 0.0
-        && (0.0..camera.width as f64).contains(&pixel.x)
-        && (0.0..camera.height as f64).contains(&pixel.y);
-    inside.then_some(pixel)
+    let seen = point.z > 0.0 && is_inside(camera.width, camera.height, pixel);
+    seen.then_some(pixel)
 }
 
 /// Index of the pixel that a place in the picture lies in.
 pub(crate) fn pixel_index(camera: &Camera, at: DVec2) -> usize {
     at.y as usize * camera.width + at.x as usize
+}
+
+/// The centre of pixel `i` (row-major), px.
+pub(crate) fn pixel_center(camera: &Camera, i: usize) -> DVec2 {
+    DVec2::new(
+        (i % camera.width) as f64 + 0.5,
+        (i / camera.width) as f64 + 0.5,
+    )
 }
 
 /// Index of the pixel that sees a point of the camera's space; `None` as for [`seen_at`].

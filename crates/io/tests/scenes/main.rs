@@ -6,6 +6,7 @@
 
 mod broken;
 mod make;
+mod masks;
 mod nerfstudio;
 mod real;
 mod shape_of_motion;

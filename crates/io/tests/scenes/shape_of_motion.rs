@@ -333,82 +333,6 @@ fn static_scene_drops_masks_and_tracks() {
 }
 
 #[test]
-fn empty_masks_are_no_masks() {
-    let som = Som::new();
-    som.remove("flow3d_preprocessed/2d_tracks");
-    for i in 0..FRAMES {
-        make::picture(
-            &som.path(&format!("masks/{i:05}.png")),
-            (WIDTH, HEIGHT),
-            |_, _| 0,
-        );
-    }
-    let scene = Scene::open(som.root()).unwrap();
-    assert!(scene.frames.iter().all(|f| f.mask.is_none()));
-    assert!(
-        scene.notes.iter().any(|n| n.contains("empty")),
-        "{:?}",
-        scene.notes
-    );
-}
-
-#[test]
-fn masks_of_zero_and_one_are_stretched() {
-    let som = Som::new();
-    for i in 0..FRAMES {
-        let at = som.path(&format!("masks/{i:05}.png"));
-        make::picture(&at, (WIDTH, HEIGHT), |x, _| u8::from(x == 0));
-    }
-    let scene = Scene::open_with(som.root(), &downscaled(2)).unwrap();
-    assert_eq!(
-        scene.frames[0].mask.as_ref().unwrap().values[..2],
-        [0.5, 0.0]
-    );
-}
-
-#[test]
-fn masks_of_small_numbers_move_where_they_are_not_zero() {
-    let som = Som::new();
-    for i in 0..FRAMES {
-        let at = som.path(&format!("masks/{i:05}.png"));
-        make::picture(&at, (WIDTH, HEIGHT), |x, _| x.min(3) as u8);
-    }
-    let scene = Scene::open(som.root()).unwrap();
-    assert_eq!(
-        scene.frames[0].mask.as_ref().unwrap().values[..5],
-        [0.0, 1.0, 1.0, 1.0, 1.0]
-    );
-    let told = |note: &String| note.contains("3 of 255");
-    assert!(scene.notes.iter().any(told), "{:?}", scene.notes);
-}
-
-/// One bit a pixel packs eight times better than one byte, and is no broken file for that.
-#[test]
-fn masks_in_the_alpha_channel_are_read() {
-    let som = Som::new();
-    let plain = Scene::open(som.root()).unwrap();
-    for i in 0..FRAMES {
-        let path = som.path(&format!("masks/{i:05}.png"));
-        image::RgbaImage::from_fn(WIDTH as u32, HEIGHT as u32, |x, _| {
-            image::Rgba([0, 0, 0, 255 * u8::from(x < 5)])
-        })
-        .save(path)
-        .unwrap();
-    }
-    let scene = Scene::open(som.root()).unwrap();
-    for (frame, wanted) in scene.frames.iter().zip(&plain.frames) {
-        assert_eq!(frame.mask, wanted.mask);
-    }
-    let told = |n: &&String| n.contains("alpha channel");
-    assert_eq!(
-        scene.notes.iter().filter(told).count(),
-        1,
-        "{:?}",
-        scene.notes
-    );
-}
-
-#[test]
 fn pictures_are_turned_by_exif_as_their_cameras_want_it() {
     // The cameras are for 16x12. Pictures that are so as stored stay, upright ones are turned; masks and truth go along.
     for (stored, turned) in [((WIDTH, HEIGHT), false), ((HEIGHT, WIDTH), true)] {
@@ -438,22 +362,6 @@ fn pictures_are_turned_by_exif_as_their_cameras_want_it() {
         assert_eq!(notes.len(), 1, "{notes:?}");
         assert_eq!(notes[0].contains("are turned"), turned, "{notes:?}");
     }
-}
-
-#[test]
-fn masks_of_one_bit_are_read() {
-    let som = Som::new();
-    let (w, h) = (640, 480);
-    for i in 0..FRAMES {
-        let file = fs::File::create(som.path(&format!("masks/{i:05}.png"))).unwrap();
-        let mut encoder = png::Encoder::new(file, w, h);
-        encoder.set_depth(png::BitDepth::One);
-        let mut writer = encoder.write_header().unwrap();
-        writer
-            .write_image_data(&vec![0; (w * h / 8) as usize])
-            .unwrap();
-    }
-    io::read_map(&som.path("masks/00000.png")).unwrap();
 }
 
 #[test]

@@ -4,9 +4,10 @@ use super::reading::{Reading, readings};
 use crate::alignment::{DisparityFit, MIN_POINTS, points_from};
 use crate::correspondence::seen_in;
 use crate::lifting::sample_color;
+use crate::placement::pixel_color;
 use crate::statistics::median;
 use crate::views::{pixel_index, seen_at};
-use glam::{DAffine3, DVec2, DVec3};
+use glam::{DAffine3, DVec3};
 use io::Scene;
 
 /// About so many pixels of a picture are looked up in another.
@@ -23,6 +24,8 @@ const LEAST_SHARED: f64 = 0.1;
 const NOT_AT_ALL: f64 = 2.0;
 /// A reading that disagrees by less than this share of another is clearly better.
 const CLEARLY: f64 = 0.7;
+/// Masks that cover more of the pictures than this rather show what is still.
+const MOST: f64 = 0.5;
 /// Points whose colour is compared in a frame, at most.
 const COLORED: usize = 500;
 
@@ -113,10 +116,15 @@ impl PointFit {
     }
 }
 
-/// What each reading makes of a scene; as given first. Where masks cover most of the pictures, the rest is what moves.
-pub(super) fn fits(scene: &Scene) -> Vec<Fit> {
-    let has_depth = scene.frames.iter().any(|f| f.depth.is_some());
-    let inverse_masks = moving_share(scene).is_some_and(|share| share > 0.5);
+fn has_depth(scene: &Scene) -> bool {
+    scene.frames.iter().any(|f| f.depth.is_some())
+}
+
+/// What each reading makes of a scene, whose masks say that such a share of it moves; as given first. Where that is most of the
+/// pictures, the rest is what moves.
+pub(super) fn fits(scene: &Scene, moving_share: Option<f64>) -> Vec<Fit> {
+    let has_depth = has_depth(scene);
+    let inverse_masks = moving_share.is_some_and(|share| share > MOST);
     let free_scale = has_depth && scene.points.len() < MIN_POINTS;
     let mut readings = readings(scene.layout, inverse_masks, free_scale);
     if !has_depth {
@@ -125,18 +133,7 @@ pub(super) fn fits(scene: &Scene) -> Vec<Fit> {
     readings.into_iter().map(|r| fit(scene, r)).collect()
 }
 
-/// Mean share of the pictures that masks say moves; `None` without masks.
-pub(super) fn moving_share(scene: &Scene) -> Option<f64> {
-    let masks = scene.frames.iter().filter_map(|f| f.mask.as_ref());
-    let shares = masks.map(|m| {
-        let moving = m.values.iter().filter(|v| **v > 0.5).count();
-        moving as f64 / m.values.len().max(1) as f64
-    });
-    let shares: Vec<f64> = shares.collect();
-    (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
-}
-
-/// What the reading makes most of, if that is clearly more than what the reading as given makes of a scene.
+/// The reading in which the inputs agree best, if that is clearly better than as given.
 pub(super) fn better(fits: &[Fit]) -> Option<&Fit> {
     let given = fits.first()?.disagreement()?;
     let others = fits[1..].iter();
@@ -323,12 +320,7 @@ fn fit_warp(scene: &Scene, fit: &Fit, most_pairs: usize) -> Option<WarpFit> {
         }
         count += 1;
         for seen in seen {
-            let width = from.view.camera.width;
-            let center = DVec2::new(
-                (seen.pixel % width) as f64 + 0.5,
-                (seen.pixel / width) as f64 + 0.5,
-            );
-            let own = sample_color(from, center);
+            let own = pixel_color(from, seen.pixel);
             let warped = difference(own, sample_color(to, seen.at));
             if fit.reading.moves(from, seen.pixel) {
                 moving = [moving[0] + 1.0, moving[1] + warped];
@@ -337,13 +329,12 @@ fn fit_warp(scene: &Scene, fit: &Fit, most_pairs: usize) -> Option<WarpFit> {
             still = [still[0] + 1.0, still[1] + warped];
             unwarped = [
                 unwarped[0] + 1.0,
-                unwarped[1] + difference(own, sample_color(to, center)),
+                unwarped[1] + difference(own, sample_color(to, seen.center)),
             ];
-            shifts.push(seen.at.distance(center));
+            shifts.push(seen.at.distance(seen.center));
         }
     }
-    let has_depth = scene.frames.iter().any(|f| f.depth.is_some());
-    if count == 0 && has_depth && scene.frames.len() > 1 {
+    if count == 0 && has_depth(scene) && scene.frames.len() > 1 {
         return Some(WarpFit {
             pairs: 0,
             ratio: NOT_AT_ALL,

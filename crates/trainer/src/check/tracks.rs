@@ -2,10 +2,10 @@
 
 use super::finding::{Finding, Verdict};
 use super::fit::Fit;
-use crate::lifting::{Liftable, is_inside, is_sure, liftable, position};
+use crate::lifting::{Liftable, is_sure, liftable, position};
 use crate::placement::{dilate, pixels_at_256};
 use crate::statistics::median;
-use crate::views::{pixel_index, seen_at};
+use crate::views::{is_inside, pixel_index, seen_at};
 use glam::DVec2;
 use io::Scene;
 
