@@ -98,8 +98,7 @@ impl Capture {
     /// The mean of a frame's motion over its exposure, [N, 6]: a turn (rad) and a translation (scene sizes).
     #[must_use]
     pub fn mean_motions(&self) -> Tensor<2> {
-        let (num_frames, degree) = (self.paths.dims()[0], self.degree());
-        let options = (&self.paths.device(), self.paths.dtype());
+        let degree = self.degree();
         // The mean of s^k from -1/2 to 1/2.
         let mean_power = |k: i32| {
             if k % 2 == 0 {
@@ -108,10 +107,9 @@ impl Capture {
                 0.0
             }
         };
-        let powers: Vec<f64> = (1..=degree).map(|k| mean_power(k as i32)).collect();
-        let powers = Tensor::<3>::from_data(TensorData::new(powers, [1, degree, 1]), options);
-        let paths = self.paths.clone().reshape([num_frames, degree, RIGID]);
-        (paths * powers).sum_dim(1).reshape([num_frames, RIGID])
+        let powers = (1..=degree).map(|k| mean_power(k as i32));
+        let mean = self.each_of_six(&powers.collect::<Vec<f64>>());
+        self.paths.clone().matmul(mean.transpose())
     }
 
     /// Bends the paths, so that [`Self::mean_motions`] grow by `motions`; the middle of the exposure stays where it is.
@@ -121,15 +119,23 @@ impl Capture {
     pub fn bend(&mut self, motions: Tensor<2>) {
         let degree = self.degree();
         assert!(degree > 1, "a straight path has no mean but its middle");
-        let num_frames = self.paths.dims()[0];
         // The mean of s² is 1/12.
-        let powers: Vec<f64> = (1..=degree)
-            .map(|k| if k == 2 { 12.0 } else { 0.0 })
-            .collect();
+        let powers = (1..=degree).map(|k| if k == 2 { 12.0 } else { 0.0 });
+        let bent = self.each_of_six(&powers.collect::<Vec<f64>>());
+        self.paths = self.paths.clone() + motions.matmul(bent);
+    }
+
+    /// The map [6, 6 D] that takes each of six numbers to its place among the coefficients of each power, times the power's weight.
+    fn each_of_six(&self, weights: &[f64]) -> Tensor<2> {
+        let columns = RIGID * weights.len();
+        let mut map = vec![0.0; RIGID * columns];
+        for number in 0..RIGID {
+            for (power, weight) in weights.iter().enumerate() {
+                map[number * columns + power * RIGID + number] = *weight;
+            }
+        }
         let options = (&self.paths.device(), self.paths.dtype());
-        let powers = Tensor::<3>::from_data(TensorData::new(powers, [1, degree, 1]), options);
-        let bends = motions.reshape([num_frames, 1, RIGID]) * powers;
-        self.paths = self.paths.clone() + bends.reshape([num_frames, RIGID * degree]);
+        Tensor::from_data(TensorData::new(map, [RIGID, columns]), options)
     }
 
     /// What the camera did in a frame, in main memory: the device is waited for once.

@@ -2,7 +2,7 @@
 
 use crate::look::{Look, Terms};
 use crate::parameter::{Group, Parameter};
-use crate::scene_shift::SceneShift;
+use crate::scene_shift::{SceneShift, Shared};
 use crate::settings::Settings;
 use crate::survey::Survey;
 use crate::tensors::{host, leaf};
@@ -19,7 +19,8 @@ pub struct Corrections {
     /// the given poses hold.
     offsets: Option<Tensor<2>>,
     /// What of their shifts is the scene's.
-    scene_shift: Option<SceneShift>,
+    /// What the frames' shifts have in common.
+    shared: Option<Shared>,
     /// Logarithms of the gains of the pictures' values, [N, 1]; `None` where frames are equally bright.
     gains: Option<Tensor<2>>,
     /// Weight of the offsets' shifts in the loss.
@@ -50,9 +51,9 @@ impl Corrections {
         let frames = &settings.frames;
         Self {
             offsets: frames.offsets.then(|| zeros(RIGID)),
-            scene_shift: frames
+            shared: frames
                 .offsets
-                .then(|| SceneShift::of(&views.train, options)),
+                .then(|| SceneShift::of(&views.train).among(&vec![true; num_frames], options)),
             gains: frames.gains.holds(survey.gains_differ).then(|| zeros(1)),
             shift_weight: settings.loss.offset_shift,
             scene_size: survey.scene_size,
@@ -105,10 +106,9 @@ impl Corrections {
             let mean = held.clone().mean_dim(0);
             *values = leaf(held - mean, true);
         }
-        if let (Some(offsets), Some(scene_shift)) = (&mut self.offsets, &self.scene_shift) {
+        if let (Some(offsets), Some(shared)) = (&mut self.offsets, &self.shared) {
             let held = offsets.clone().inner();
-            let all = held.clone().narrow(1, 0, 1).ones_like();
-            let common = scene_shift.common(shift_in_image(held.clone()), all);
+            let common = shared.of_shifts(shift_in_image(held.clone()));
             *offsets = leaf(held - turns(common), true);
         }
     }

@@ -5,67 +5,133 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::DVec3;
 use splat_core::camera_center;
 
-/// The shifts that N frames show if the scene lies elsewhere. Either all shift alike, or each by how far its camera stands
-/// aside, as they do if every point is nearer by the same disparity.
+/// Where the cameras of N frames stand, right and down in their own axes, away from their mean; scene units.
 #[derive(Clone, Debug)]
 pub(crate) struct SceneShift {
-    /// Where the cameras stand, right and down in their own axes, away from their mean; scene units: [N, 2].
-    places: Tensor<2>,
+    places: Vec<[f64; 2]>,
+}
+
+/// What numbers of the frames that count show if the scene lies elsewhere. It is a sum of a few known columns, orthonormal, so
+/// that two small products find it.
+#[derive(Clone, Debug)]
+pub(crate) struct Shared {
+    /// Of shifts of N frames, one below the other: [2 N, 3].
+    shifts: Columns,
+    /// Of any number of N frames: [N, 3].
+    trends: Columns,
+}
+
+#[derive(Clone, Debug)]
+struct Columns {
+    columns: Tensor<2>,
+    transposed: Tensor<2>,
 }
 
 impl SceneShift {
     /// Of frames that were seen so.
-    pub(crate) fn of(views: &[CameraView], options: (&Device, DType)) -> Self {
+    pub(crate) fn of(views: &[CameraView]) -> Self {
         let centers: Vec<DVec3> = views
             .iter()
             .map(|v| camera_center(&v.cam_from_world))
             .collect();
         let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
-        let places = views.iter().zip(&centers).flat_map(|(view, center)| {
+        let places = views.iter().zip(&centers).map(|(view, center)| {
             let aside = view.cam_from_world.transform_vector3(center - mean);
             [aside.x, aside.y]
         });
-        let places = TensorData::new(places.collect::<Vec<f64>>(), [views.len(), 2]);
         Self {
-            places: Tensor::<2>::from_data(places, options).inner(),
+            places: places.collect(),
         }
     }
 
-    /// What of the frames' shifts [N, 2] is the scene's, by least squares over those that count (1 of [N, 1]); 0 in others.
-    pub(crate) fn common(&self, shifts: Tensor<2>, counted: Tensor<2>) -> Tensor<2> {
-        let (places, _) = centered(self.places.clone(), &counted);
-        let (rest, mean) = centered(shifts, &counted);
-        let total = |values: Tensor<2>| values.sum_dim(0).sum_dim(1);
-        let disparity =
-            total(rest * places.clone()) / total(places.clone().square()).clamp_min(LEAST);
-        places * disparity + mean * counted
-    }
-
-    /// What of any numbers of the frames [N, C] is the same in all, or in proportion to where their cameras stand, right or down;
-    /// counted as in [`Self::common`]. A scene that tilts, turns or grows with the camera's place looks like that.
-    pub(crate) fn trend(&self, values: Tensor<2>, counted: Tensor<2>) -> Tensor<2> {
-        let (places, _) = centered(self.places.clone(), &counted);
-        let (right, down) = (places.clone().narrow(1, 0, 1), places.narrow(1, 1, 1));
-        let down = down.clone() - along(&down, &right);
-        let (rest, mean) = centered(values, &counted);
-        along(&rest, &right) + along(&rest, &down) + mean * counted
+    /// What frames have in common of which those count: others neither tell of it nor are told.
+    pub(crate) fn among(&self, counted: &[bool], options: (&Device, DType)) -> Shared {
+        let of_counted = |value: &dyn Fn(&[f64; 2]) -> f64| -> Vec<f64> {
+            let frames = self.places.iter().zip(counted);
+            frames
+                .map(|(place, counts)| if *counts { value(place) } else { 0.0 })
+                .collect()
+        };
+        let [ones, right, down] = [
+            of_counted(&|_| 1.0),
+            of_counted(&|[x, _]| *x),
+            of_counted(&|[_, y]| *y),
+        ];
+        let none = vec![0.0; ones.len()];
+        let interleaved = |x: &[f64], y: &[f64]| -> Vec<f64> {
+            x.iter().zip(y).flat_map(|(x, y)| [*x, *y]).collect()
+        };
+        let shifts = [
+            interleaved(&ones, &none),
+            interleaved(&none, &ones),
+            interleaved(&right, &down),
+        ];
+        Shared {
+            shifts: Columns::spanning(shifts, options),
+            trends: Columns::spanning([ones, right, down], options),
+        }
     }
 }
 
-/// Below it a sum of squares is none.
+impl Shared {
+    /// What of the frames' shifts [N, 2] is the scene's, by least squares: all shift alike, and each by how far its camera stands
+    /// aside, as they do if every point is nearer by the same disparity.
+    pub(crate) fn of_shifts(&self, shifts: Tensor<2>) -> Tensor<2> {
+        let shape = shifts.dims();
+        let all = shifts.reshape([shape[0] * shape[1], 1]);
+        self.shifts.part_of(all).reshape(shape)
+    }
+
+    /// What of any numbers of the frames [N, C] is the same in all, or in proportion to where their cameras stand, right or down, by
+    /// least squares. A scene that tilts, turns or grows with the camera's place looks like that.
+    pub(crate) fn of_any(&self, values: Tensor<2>) -> Tensor<2> {
+        self.trends.part_of(values)
+    }
+}
+
+/// A column of which no more than this share of its square is left beside the others, or no more than this at all, is none.
 const LEAST: f64 = 1e-12;
 
-/// Values of the frames [N, C] less their mean over those that count, 0 in others; and that mean [1, C].
-fn centered(values: Tensor<2>, counted: &Tensor<2>) -> (Tensor<2>, Tensor<2>) {
-    let number = counted.clone().sum_dim(0).clamp_min(1.0);
-    let mean = (values.clone() * counted.clone()).sum_dim(0) / number;
-    ((values - mean.clone()) * counted.clone(), mean)
-}
+impl Columns {
+    /// An orthonormal basis of what columns span, in the place of each one; 0 where it adds nothing.
+    fn spanning(columns: [Vec<f64>; 3], (device, dtype): (&Device, DType)) -> Self {
+        let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+        let mut basis: Vec<Vec<f64>> = Vec::new();
+        for mut column in columns {
+            let whole = dot(&column, &column);
+            for other in &basis {
+                let along = dot(&column, other);
+                column
+                    .iter_mut()
+                    .zip(other)
+                    .for_each(|(value, other)| *value -= along * other);
+            }
+            let left = dot(&column, &column);
+            let scale = if left > LEAST * whole.max(1.0) {
+                left.sqrt().recip()
+            } else {
+                0.0
+            };
+            column.iter_mut().for_each(|value| *value *= scale);
+            basis.push(column);
+        }
+        let shape = [basis.len(), basis[0].len()];
+        let transposed = TensorData::new(basis.concat(), shape);
+        let transposed = Tensor::<2>::from_data(transposed, (device, dtype)).inner();
+        let [count, rows] = shape;
+        let columns = (0..rows).flat_map(|row| basis.iter().map(move |column| column[row]));
+        let columns = TensorData::new(columns.collect::<Vec<f64>>(), [rows, count]);
+        Self {
+            columns: Tensor::<2>::from_data(columns, (device, dtype)).inner(),
+            transposed,
+        }
+    }
 
-/// The part of `values` [N, C] that goes with `basis` [N, 1].
-fn along(values: &Tensor<2>, basis: &Tensor<2>) -> Tensor<2> {
-    let total = (values.clone() * basis.clone()).sum_dim(0);
-    basis.clone() * (total / basis.clone().square().sum_dim(0).clamp_min(LEAST))
+    /// What of values [M, C] they span.
+    fn part_of(&self, values: Tensor<2>) -> Tensor<2> {
+        let parts = self.transposed.clone().matmul(values);
+        self.columns.clone().matmul(parts)
+    }
 }
 
 #[cfg(test)]
@@ -110,7 +176,7 @@ mod tests {
     #[test]
     fn a_scene_that_lies_elsewhere_is_all_that_is_common_and_nothing_is_left_of_it() {
         let views = views();
-        let scene_shift = SceneShift::of(&views, options_of(&Device::flex()));
+        let scene_shift = SceneShift::of(&views);
         let centers = views.iter().map(|v| camera_center(&v.cam_from_world));
         let mean = centers.sum::<DVec3>() / views.len() as f64;
         // Points ahead, seen alike from the mean place and nearer by a disparity: they shift in a frame by how far it stands aside.
@@ -124,53 +190,70 @@ mod tests {
             [shift.x, shift.y]
         });
         let shifts = shifts.collect::<Vec<f64>>();
-        let counted = tensor(vec![1.0; views.len()], 1);
-        let common = values(scene_shift.common(tensor(shifts.clone(), 2), counted.clone()));
+        let shared = scene_shift.among(&[true; 9], options_of(&Device::flex()));
+        let common = values(shared.of_shifts(tensor(shifts.clone(), 2)));
         for (common, shift) in common.iter().zip(&shifts) {
             assert!((common - shift).abs() < 1e-12, "{common} {shift}");
         }
 
         // Of any shifts, what is not common has nothing in common.
         let any: Vec<f64> = (0..18).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
-        let common = scene_shift.common(tensor(any.clone(), 2), counted.clone());
+        let common = shared.of_shifts(tensor(any.clone(), 2));
         let rest = tensor(any, 2) - common;
-        for value in values(scene_shift.common(rest, counted)) {
+        for value in values(shared.of_shifts(rest)) {
             assert!(value.abs() < 1e-12, "{value}");
         }
     }
 
     #[test]
     fn frames_that_do_not_count_neither_shift_nor_tell() {
-        let scene_shift = SceneShift::of(&views(), options_of(&Device::flex()));
+        let scene_shift = SceneShift::of(&views());
         let mut shifts: Vec<f64> = (0..18).map(|k| (0.7 * f64::from(k)).cos()).collect();
-        let mut counted = vec![1.0; 9];
-        counted[4] = 0.0;
-        let common = |shifts: &[f64]| {
-            values(scene_shift.common(tensor(shifts.to_vec(), 2), tensor(counted.clone(), 1)))
-        };
-        let before = common(&shifts);
-        assert_eq!(before[8..10], [0.0, 0.0]);
+        let mut counted = [true; 9];
+        counted[4] = false;
+        let device = Device::flex();
+        let some = scene_shift.among(&counted, options_of(&device));
+        let none = scene_shift.among(&[false; 9], options_of(&device));
+        let common = |shifts: &[f64]| values(some.of_shifts(tensor(shifts.to_vec(), 2)));
+        let trend = |shifts: &[f64]| values(some.of_any(tensor(shifts.to_vec(), 2)));
+        let before = (common(&shifts), trend(&shifts));
+        assert_eq!(before.0[8..10], [0.0, 0.0]);
+        assert_eq!(before.1[8..10], [0.0, 0.0]);
         shifts[8] = 100.0;
-        assert_eq!(common(&shifts), before);
-        let none = scene_shift.common(tensor(shifts.clone(), 2), tensor(vec![0.0; 9], 1));
-        assert_eq!(values(none), vec![0.0; 18]);
-
-        let trend = |shifts: &[f64]| {
-            values(scene_shift.trend(tensor(shifts.to_vec(), 2), tensor(counted.clone(), 1)))
-        };
-        let before = trend(&shifts);
-        assert_eq!(before[8..10], [0.0, 0.0]);
         shifts[9] = -100.0;
-        assert_eq!(trend(&shifts), before);
-        let none = scene_shift.trend(tensor(shifts, 2), tensor(vec![0.0; 9], 1));
-        assert_eq!(values(none), vec![0.0; 18]);
+        assert_eq!((common(&shifts), trend(&shifts)), before);
+        let shifts = tensor(shifts, 2);
+        assert_eq!(values(none.of_shifts(shifts.clone())), vec![0.0; 18]);
+        assert_eq!(values(none.of_any(shifts)), vec![0.0; 18]);
+    }
+
+    #[test]
+    fn cameras_in_a_row_or_in_one_place_have_fewer_columns_in_common() {
+        let mut views = views();
+        for view in &mut views {
+            // On a line that leans, and all turned alike.
+            let center = DVec3::new(1.0, 2.0, 0.0) * f64::from(view.time);
+            view.cam_from_world = DAffine3::from_translation(-center);
+        }
+        let any: Vec<f64> = (0..18).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
+        for _ in 0..2 {
+            let shared = SceneShift::of(&views).among(&[true; 9], options_of(&Device::flex()));
+            let once = shared.of_any(tensor(any.clone(), 2));
+            let twice = values(shared.of_any(once.clone()));
+            for (once, twice) in values(once).iter().zip(twice) {
+                assert!((once - twice).abs() < 1e-12, "{once} {twice}");
+            }
+            for view in &mut views {
+                view.cam_from_world = DAffine3::IDENTITY;
+            }
+        }
     }
 
     #[test]
     fn a_trend_is_all_that_goes_with_the_cameras_place_and_nothing_is_left_of_it() {
         let views = views();
-        let scene_shift = SceneShift::of(&views, options_of(&Device::flex()));
-        let every = || tensor(vec![1.0; views.len()], 1);
+        let scene_shift = SceneShift::of(&views);
+        let shared = scene_shift.among(&[true; 9], options_of(&Device::flex()));
         let centers: Vec<DVec3> = views
             .iter()
             .map(|v| camera_center(&v.cam_from_world))
@@ -183,16 +266,16 @@ mod tests {
                 .map(|[all, right, down]| all + right * aside.x + down * aside.y)
         });
         let numbers = tensor(numbers.collect(), 3);
-        let trend = scene_shift.trend(numbers.clone(), every());
+        let trend = shared.of_any(numbers.clone());
         for rest in values(numbers - trend) {
             assert!(rest.abs() < 1e-12, "{rest}");
         }
 
         let any: Vec<f64> = (0..27).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
         let any = tensor(any, 3);
-        let rest = any.clone() - scene_shift.trend(any, every());
+        let rest = any.clone() - shared.of_any(any);
         assert!(values(rest.clone()).iter().any(|rest| rest.abs() > 0.1));
-        for value in values(scene_shift.trend(rest, every())) {
+        for value in values(shared.of_any(rest)) {
             assert!(value.abs() < 1e-12, "{value}");
         }
     }

@@ -10,7 +10,7 @@ pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 use crate::TrainError;
 use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
-use crate::scene_shift::SceneShift;
+use crate::scene_shift::{SceneShift, Shared};
 use crate::settings::{CameraSettings, Settings};
 use crate::survey::Survey;
 use crate::tensors::{constant, host, leaf};
@@ -36,6 +36,9 @@ const VISITS: usize = 5;
 pub struct CameraBlur {
     capture: Capture,
     scene_shift: SceneShift,
+    /// What the paths that are there have in common; made where it is needed, and anew behind a trial, which may put paths in
+    /// and out.
+    shared: Option<Shared>,
     settings: CameraSettings,
     moments: Moments,
     /// Focal length of each frame, px.
@@ -111,7 +114,8 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
-            scene_shift: SceneShift::of(&views.train, (device, dtype)),
+            scene_shift: SceneShift::of(&views.train),
+            shared: None,
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
             focal,
@@ -269,21 +273,20 @@ impl CameraBlur {
             paths: self.capture.paths.clone().inner(),
             ..self.capture.clone()
         };
-        let moving = held
-            .paths
-            .clone()
-            .abs()
-            .max_dim(1)
-            .greater_scalar(0.0)
-            .float()
-            .cast(held.paths.dtype());
         let options = (&held.paths.device(), held.paths.dtype());
+        let shared = self.shared.get_or_insert_with(|| {
+            let paths = host(held.paths.clone());
+            let width = held.paths.dims()[1];
+            let moving = paths
+                .chunks_exact(width)
+                .map(|path| path.iter().any(|p| *p != 0.0));
+            self.scene_shift
+                .among(&moving.collect::<Vec<bool>>(), options)
+        });
         // Turns about x and y shift the image: those are held with the shifts, below.
         let others = Tensor::<2>::from_data([[0.0, 0.0, 1.0, 1.0, 1.0, 1.0]], options);
-        let trend = self.scene_shift.trend(held.mean_motions(), moving.clone());
-        held.bend(-trend * others);
-        let common = self.scene_shift.common(held.mean_shifts(), moving);
-        held.bend(turns(-common));
+        held.bend(-shared.of_any(held.mean_motions()) * others);
+        held.bend(-turns(shared.of_shifts(held.mean_shifts())));
         self.capture.paths = leaf(held.paths, true);
     }
 

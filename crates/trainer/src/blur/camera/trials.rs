@@ -47,6 +47,7 @@ impl CameraBlur {
         {
             *own = leaf(found.clone().inner(), true);
         }
+        self.shared = None;
         Ok(changed)
     }
 
