@@ -152,6 +152,13 @@ pub fn tensor<const D: usize>(
     Tensor::from_data(TensorData::new(values.to_vec(), shape), (device, dtype))
 }
 
+/// A map of these values, with the shape, device and dtype of another.
+#[must_use]
+pub fn map_like(values: &[f32], like: &Tensor<2>) -> Tensor<2> {
+    let data = TensorData::new(values.to_vec(), like.dims());
+    Tensor::from_data(data, (&like.device(), like.dtype()))
+}
+
 /// A tensor's values, widened.
 #[must_use]
 pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {

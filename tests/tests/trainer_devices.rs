@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use host::{all_zero, count_not_finite, first_not_finite};
-use limpid_tests::{assert_close, devices, noise, rounded, tensor, unit_noise, values};
+use limpid_tests::{assert_close, devices, map_like, noise, rounded, tensor, unit_noise, values};
 use trainer::adam::{AdamState, AdamStep, LearningRate, Steps, adam_step};
 use trainer::losses::{depth_loss, mask_loss, photometric, ssim};
 use trainer::metrics::psnr_of;
@@ -268,7 +268,8 @@ fn depth_losses() {
             tolerances,
             &|t, d, dtype| {
                 let alpha = tensor::<2>(&alpha, [height, width], &d.clone().inner(), dtype);
-                depth_loss(t, &alpha.autodiff(), &given, scene_size)
+                let given = map_like(&given, &t);
+                depth_loss(t, &alpha.autodiff(), given, scene_size)
             },
         );
         let nothing = vec![0.0; count];
@@ -279,7 +280,8 @@ fn depth_losses() {
             [0.0, 0.0],
             &|t, d, dtype| {
                 let alpha = tensor::<2>(&alpha, [height, width], &d.clone().inner(), dtype);
-                depth_loss(t, &alpha.autodiff(), &nothing, scene_size)
+                let nothing = map_like(&nothing, &t);
+                depth_loss(t, &alpha.autodiff(), nothing, scene_size)
             },
         );
     }
@@ -318,7 +320,10 @@ fn mask_losses() {
                 &rendered,
                 [height, width],
                 [2e-6, 2e-6],
-                &|t, _, _| mask_loss(t, &target, valid, band),
+                &|t, _, _| {
+                    let target = map_like(&target, &t);
+                    mask_loss(t, target, valid, band)
+                },
             );
         }
         let whole = vec![1.0; count];
@@ -327,7 +332,10 @@ fn mask_losses() {
             &rendered,
             [height, width],
             [2e-6, 2e-6],
-            &|t, _, _| mask_loss(t, &whole, None, band),
+            &|t, _, _| {
+                let whole = map_like(&whole, &t);
+                mask_loss(t, whole, None, band)
+            },
         );
     }
 }

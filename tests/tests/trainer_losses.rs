@@ -2,11 +2,12 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use limpid_tests::{
-    GradLimits, check_gradients, computes, devices, devices_in, in_pool, tensor, unit_noise, values,
+    GradLimits, check_gradients, computes, devices, devices_in, in_pool, map_like, tensor,
+    unit_noise, values,
 };
 use trainer::losses::{
     depth_loss, depth_shift_loss, detail_loss, downsample_loss, intensity_penalty, mask_band,
-    mask_loss, photometric, ssim,
+    mask_loss, photometric, point_disparity, ssim,
 };
 use trainer::metrics::{LARGEST_PSNR, masked_psnr, psnr_of};
 
@@ -223,7 +224,8 @@ fn a_mover_under_two_percent_of_the_picture_has_a_mask_loss() {
         let target = rectangle(size, 20..26, 10..16);
         assert!(target.iter().sum::<f32>() < 0.02 * (64.0 * 36.0));
         let rendered = Tensor::<2>::zeros([36, 64], (&device, DType::F32)).require_grad();
-        let loss = mask_loss(rendered.clone(), &target, None, mask_band(64));
+        let target = map_like(&target, &rendered);
+        let loss = mask_loss(rendered.clone(), target, None, mask_band(64));
         let grads = loss.backward();
         let grad = values(rendered.grad(&grads).expect("tracked"));
         assert!(scalar(loss) > 0.0, "{name}");
@@ -238,6 +240,10 @@ fn the_mask_loss_trims_each_side_and_spares_the_band() {
         let (width, height) = (40, 20);
         let target = rectangle([width, height], 0..20, 0..20);
         let band = 2;
+        let mask_loss = |rendered: Tensor<2>, target: &[f32]| {
+            let target = map_like(target, &rendered);
+            scalar(mask_loss(rendered, target, None, band))
+        };
         let rendered = |f: &dyn Fn(usize, usize) -> f64| {
             let values: Vec<f64> = (0..width * height)
                 .map(|k| f(k % width, k / width))
@@ -254,11 +260,7 @@ fn the_mask_loss_trims_each_side_and_spares_the_band() {
                 0.0
             }
         });
-        assert_eq!(
-            scalar(mask_loss(beside, &target, None, band)),
-            0.0,
-            "{name}"
-        );
+        assert_eq!(mask_loss(beside, &target), 0.0, "{name}");
         // 360 pixels a side count; the largest 2 % of each, seven, are left out.
         let worst = rendered(&|x, y| {
             let right = f64::from(u8::from(x < 20));
@@ -272,12 +274,12 @@ fn the_mask_loss_trims_each_side_and_spares_the_band() {
             };
             right + wrong
         });
-        let loss = scalar(mask_loss(worst, &target, None, band));
+        let loss = mask_loss(worst, &target);
         assert!((loss - 0.15).abs() < 1e-12, "{name}: {loss}");
         // Nothing inside, nothing outside, nothing but the band.
         for whole in [0.0, 1.0] {
             let all = rendered(&|_, _| 0.25);
-            let loss = scalar(mask_loss(all, &vec![whole; width * height], None, band));
+            let loss = mask_loss(all, &vec![whole; width * height]);
             assert!(
                 (loss - f64::from(whole - 0.25).abs()).abs() < 1e-12,
                 "{name}"
@@ -285,7 +287,7 @@ fn the_mask_loss_trims_each_side_and_spares_the_band() {
         }
         let thin = rectangle([3, 1], 1..2, 0..1);
         let empty = tensor(&[0.5; 3], [1, 3], &device, DType::F32);
-        assert_eq!(scalar(mask_loss(empty, &thin, None, 2)), 0.0, "{name}");
+        assert_eq!(mask_loss(empty, &thin), 0.0, "{name}");
     }
 }
 
@@ -300,7 +302,10 @@ fn gradient_of_the_mask_loss() {
             &[("mask", [9, 12], unit_noise(108, 4))],
             &[],
             GradLimits::default(),
-            |inputs| mask_loss(inputs[0].clone(), &target, None, 1),
+            |inputs| {
+                let target = map_like(&target, &inputs[0]);
+                mask_loss(inputs[0].clone(), target, None, 1)
+            },
         );
     }
 }
@@ -330,12 +335,16 @@ fn gradient_of_the_depth_loss_goes_to_the_depth_alone() {
             &[("depth", [height, width], depth.clone())],
             &[],
             GradLimits::default(),
-            |inputs| depth_loss(inputs[0].clone(), &opaque, &given, 1.7),
+            |inputs| {
+                let given = map_like(&given, &inputs[0]);
+                depth_loss(inputs[0].clone(), &opaque, given, 1.7)
+            },
         );
         let device = device.autodiff();
         let leaf = |v: &[f64]| tensor(v, [height, width], &device, DType::F64).require_grad();
         let (depth, alpha_leaf) = (leaf(&depth), leaf(&alpha));
-        let grads = depth_loss(depth.clone(), &alpha_leaf, &given, 1.7).backward();
+        let targets = map_like(&given, &depth);
+        let grads = depth_loss(depth.clone(), &alpha_leaf, targets, 1.7).backward();
         let grad = values(depth.grad(&grads).expect("tracked"));
         assert!(alpha_leaf.grad(&grads).is_none(), "{name}");
         for k in 0..24 {
@@ -372,7 +381,8 @@ fn the_depth_shift_loss_is_the_squared_mean_over_the_points() {
             let depth: Vec<f64> = depth.collect();
             let depth = tensor(&depth, [height, width], &device, DType::F64);
             let alpha = depth.full_like(alpha);
-            scalar(depth_shift_loss(depth, &alpha, &points, scene_size))
+            let points = map_like(&point_disparity(&points, scene_size), &depth);
+            scalar(depth_shift_loss(depth, &alpha, points, scene_size))
         };
         assert!(loss(0.0, 0.02, 0.9) < 1e-12, "{name}: noise has no mean");
         let shifted = loss(0.01, 0.02, 0.9);
@@ -399,6 +409,7 @@ fn the_depth_loss_forgives_scale_and_shift_and_nothing_else() {
             let depth: Vec<f64> = depth.iter().map(|d| d * alpha).collect();
             let depth = tensor(&depth, [height, width], &device, DType::F64);
             let alpha = depth.full_like(alpha);
+            let given = map_like(given, &depth);
             scalar(depth_loss(depth, &alpha, given, scene_size))
         };
         let given: Vec<f32> = depth

@@ -32,8 +32,6 @@ pub struct Iteration {
     pub blur: &'static str,
     /// Launches and waits.
     pub counted: Counted,
-    /// Bytes of the frame that it copies to the device; masks and depths of other scenes come on top.
-    pub uploaded: usize,
     /// Bytes that its stages move at least, each input read once and each output written once.
     pub bytes: f64,
     /// Operations that they need.
@@ -93,7 +91,6 @@ fn count_iteration(
     Ok(Iteration {
         blur: workload.blur.name(),
         counted,
-        uploaded: size_of::<f32>() * 3 * workload.width * workload.height,
         bytes: work.iter().map(|w| w.bytes).sum(),
         operations: work.iter().map(|w| w.operations).sum(),
         bounds,
@@ -111,17 +108,16 @@ impl Launches {
         write!(
             out,
             "\nAn iteration at {width}x{height} with {} Gaussians\n\n\
-             | | launches | waits | MB uploaded | MB moved at least | GFLOP |\n|---|---|---|---|---|---|\n",
+             | | launches | waits | MB moved at least | GFLOP |\n|---|---|---|---|---|\n",
             self.gaussians
         )?;
         for i in &self.iterations {
             writeln!(
                 out,
-                "| {} | {} | {} | {:.2} | {:.0} | {:.2} |",
+                "| {} | {} | {} | {:.0} | {:.2} |",
                 i.blur,
                 i.counted.launches,
                 i.counted.waits,
-                i.uploaded as f64 * 1e-6,
                 i.bytes * 1e-6,
                 i.operations * 1e-9
             )?;

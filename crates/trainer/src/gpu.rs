@@ -144,16 +144,30 @@ impl Gpu {
     }
 }
 
+/// Whether tensors of a device live elsewhere than in main memory.
+#[cfg(feature = "cube")]
+pub(crate) fn is_gpu(device: &Device) -> bool {
+    use burn::backend::DispatchDevice;
+    matches!(
+        device.clone().inner().as_dispatch(),
+        DispatchDevice::Cube(_)
+    )
+}
+
+/// No device that this build knows is a GPU.
+#[cfg(not(feature = "cube"))]
+pub(crate) fn is_gpu(_: &Device) -> bool {
+    false
+}
+
 /// Does something on a device. Where a GPU fails, is lost or has no memory left, Burn panics: that is an error here.
 #[cfg(feature = "cube")]
 pub(crate) fn guarded<T>(
     device: &Device,
     work: impl FnOnce() -> Result<T, TrainError>,
 ) -> Result<T, TrainError> {
-    use burn::backend::DispatchDevice;
     use std::panic::{AssertUnwindSafe, catch_unwind};
-    let device = device.clone().inner();
-    if !matches!(device.as_dispatch(), DispatchDevice::Cube(_)) {
+    if !is_gpu(device) {
         return work();
     }
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {

@@ -71,6 +71,7 @@ mod run;
 mod saves;
 mod scene_shift;
 mod scores;
+mod sent;
 mod sharpness;
 mod shot;
 mod state;

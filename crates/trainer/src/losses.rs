@@ -4,7 +4,7 @@
 use crate::cpu::depth::NEAREST;
 use crate::ops::{ImageLossOps, TrainerOps};
 use burn::backend::Dispatch;
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 
 pub use crate::cpu::depth::{DisparityFit, fit_disparity};
 
@@ -133,16 +133,15 @@ pub fn intensity_penalty<const D: usize>(intensity: Tensor<D>) -> Tensor<1> {
 pub fn depth_loss(
     depth: Tensor<2>,
     alpha: &Tensor<2>,
-    given: &[f32],
+    given: Tensor<2>,
     scene_size: f64,
 ) -> Tensor<1> {
     assert_eq!(depth.dims(), alpha.dims(), "depth and alpha of one render");
-    let [height, width] = depth.dims();
-    assert_eq!(given.len(), height * width, "one given depth per pixel");
+    assert_eq!(depth.dims(), given.dims(), "one given depth per pixel");
     let targets = <Dispatch as TrainerOps>::depth_targets(
         depth.clone().inner().into_dispatch(),
         alpha.clone().inner().into_dispatch(),
-        given,
+        given.inner().into_dispatch(),
         scene_size,
     );
     let [per_alpha, wanted, weight] =
@@ -162,8 +161,8 @@ const SHIFT_RANGE: f64 = 0.05;
 /// may be shifted (by the means of their paths, by offsets), pictures hardly say it either: what all disparities have in
 /// common is a shift that goes with the camera's place. Sparse points know it well on average.
 ///
-/// `points` [H, W] is their z-depth, 0 where there is none. They count where alpha is above 0.5; differences are clamped to
-/// 0.05. Zero where none counts.
+/// `points` [H, W] is their disparity times S ([`point_disparity`]), 0 where there is none. They count where alpha is above 0.5;
+/// differences are clamped to 0.05. Zero where none counts.
 ///
 /// # Panics
 /// Panics if the sizes do not agree, or the dtypes of `depth` and `alpha`.
@@ -171,27 +170,30 @@ const SHIFT_RANGE: f64 = 0.05;
 pub fn depth_shift_loss(
     depth: Tensor<2>,
     alpha: &Tensor<2>,
-    points: &[f32],
+    points: Tensor<2>,
     scene_size: f64,
 ) -> Tensor<1> {
-    let options = (&depth.device(), depth.dtype());
-    let shape = depth.dims();
-    assert_eq!(shape, alpha.dims(), "depth and alpha of one render");
-    assert_eq!(points.len(), shape[0] * shape[1], "one depth per pixel");
-    let near = NEAREST * scene_size;
-    let wanted = points.iter().map(|&z| match z > 0.0 {
-        true => scene_size / f64::from(z).max(near),
-        false => 0.0,
-    });
-    let wanted: Vec<f64> = wanted.collect();
-    let wanted = Tensor::<2>::from_data(TensorData::new(wanted, shape), options);
+    let dtype = depth.dtype();
+    assert_eq!(depth.dims(), alpha.dims(), "depth and alpha of one render");
+    assert_eq!(depth.dims(), points.dims(), "one disparity per pixel");
     let alpha = alpha.clone().detach();
-    let counted = wanted.clone().greater_elem(0.0).float().cast(options.1);
-    let counts = counted * alpha.clone().greater_elem(0.5).float().cast(options.1);
-    let rendered = (depth / alpha.clamp_min(0.5)).clamp_min(near);
-    let difference = rendered.recip().mul_scalar(scene_size) - wanted;
+    let counted = points.clone().greater_elem(0.0).float().cast(dtype);
+    let counts = counted * alpha.clone().greater_elem(0.5).float().cast(dtype);
+    let rendered = (depth / alpha.clamp_min(0.5)).clamp_min(NEAREST * scene_size);
+    let difference = rendered.recip().mul_scalar(scene_size) - points;
     let sum = (difference.clamp(-SHIFT_RANGE, SHIFT_RANGE) * counts.clone()).sum();
     (sum / counts.sum().clamp_min(1.0)).square()
+}
+
+/// What [`depth_shift_loss`] compares with: the disparity of points at a z-depth, times the scene size S; 0 where there is none.
+#[must_use]
+pub fn point_disparity(points: &[f32], scene_size: f64) -> Vec<f32> {
+    let near = NEAREST * scene_size;
+    let disparity = |z: &f32| match *z > 0.0 {
+        true => (scene_size / f64::from(*z).max(near)) as f32,
+        false => 0.0,
+    };
+    points.iter().map(disparity).collect()
 }
 
 /// The band's width in pixels for a picture of this width: 2 at 256, in proportion, at least 1.
@@ -209,34 +211,27 @@ pub fn mask_band(width: usize) -> usize {
 /// The result is the mean over what is kept; zero where nothing is. Shape `[1]`.
 ///
 /// # Panics
-/// Panics if `target` or `valid` does not have H W entries.
+/// Panics if `target` is not [H, W], or `valid` does not have H W entries.
 #[must_use]
 pub fn mask_loss(
     rendered: Tensor<2>,
-    target: &[f32],
+    target: Tensor<2>,
     valid: Option<&[bool]>,
     band: usize,
 ) -> Tensor<1> {
-    let [height, width] = rendered.dims();
-    assert_eq!(
-        target.len(),
-        height * width,
-        "one target per rendered pixel"
-    );
+    let shape = rendered.dims();
+    assert_eq!(shape, target.dims(), "one target per rendered pixel");
     assert!(
-        valid.is_none_or(|valid| valid.len() == target.len()),
+        valid.is_none_or(|valid| valid.len() == shape[0] * shape[1]),
         "one validity per rendered pixel"
     );
-    let known = rendered.clone().inner();
-    let like = (&known.device(), known.dtype());
-    let given = Tensor::<2>::from_data(TensorData::new(target.to_vec(), [height, width]), like);
     let weight = Tensor::<2>::from_dispatch(<Dispatch as TrainerOps>::mask_weights(
-        known.into_dispatch(),
-        given.clone().into_dispatch(),
+        rendered.clone().inner().into_dispatch(),
+        target.clone().inner().into_dispatch(),
         valid,
         band,
     ));
-    ((rendered - given).abs() * weight).sum()
+    ((rendered - target).abs() * weight).sum()
 }
 
 #[cfg(test)]

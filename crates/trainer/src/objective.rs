@@ -37,20 +37,21 @@ impl Objective<'_> {
         terms.add("detail", weights.detail, || {
             losses::detail_loss(shown.seen.clone(), target)
         });
-        if let Some(depth) = view.depth {
+        let seen = &shown.seen;
+        if let Some(depth) = view.depth(seen) {
             terms.add("depth", weights.depth, || {
                 let alpha = fixed.rendered.alpha();
                 losses::depth_loss(rendered.depth(), &alpha, depth, plan.survey.scene_size)
             });
         }
-        if let Some(points) = view.points {
+        let size = plan.survey.scene_size;
+        if let Some(points) = view.point_disparity(seen, size) {
             terms.add("depth_shift", weights.depth_shift, || {
                 let alpha = fixed.rendered.alpha();
-                let size = plan.survey.scene_size;
                 losses::depth_shift_loss(rendered.depth(), &alpha, points, size)
             });
         }
-        if let (Some(mask), Some(dynamic)) = (view.mask, rendered.features()) {
+        if let (Some(mask), Some(dynamic)) = (view.mask(seen), rendered.features()) {
             terms.add("mask", weights.mask, || {
                 let band = losses::mask_band(view.viewpoint.camera.width);
                 losses::mask_loss(dynamic.squeeze_dim(2), mask, view.valid, band)

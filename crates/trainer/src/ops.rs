@@ -43,11 +43,11 @@ pub(crate) trait TrainerOps: Backend {
         update: AdamUpdate,
     ) -> AdamTensors<Self>;
 
-    /// Fits the `given` depth [H, W] to a rendered `depth` and `alpha`, both `[H, W]`.
+    /// Fits the `given` depth to a rendered `depth` and `alpha`, all `[H, W]`.
     fn depth_targets(
         depth: FloatTensor<Self>,
         alpha: FloatTensor<Self>,
-        given: &[f32],
+        given: FloatTensor<Self>,
         scene_size: f64,
     ) -> DepthTargets<Self>;
 

@@ -18,6 +18,7 @@ use crate::run::Run;
 use crate::saves::FILE_NAME;
 use crate::schedule::Schedule;
 use crate::scores::Evaluation;
+use crate::sent::Sent;
 use crate::settings::Settings;
 use crate::state::State;
 use crate::survey::{Survey, survey};
@@ -47,14 +48,17 @@ pub(crate) struct Data {
     pub(crate) unseen: Vec<UnseenView>,
     /// z-depth of the sparse points in every training frame, 0 where there is none, [H, W]; `None` with too few of them.
     pub(crate) points: Vec<Option<Vec<f32>>>,
+    sent: Vec<Sent>,
 }
 
 impl Data {
-    fn new(scene: Scene, unseen: Vec<UnseenView>) -> Self {
+    fn new(scene: Scene, unseen: Vec<UnseenView>, device: &Device) -> Self {
         let frames = scene.frames.iter();
         let points = frames.map(|frame| point_depths(frame, &scene.points));
+        let pixels = scene.frames.iter().map(|f| f.view.camera.num_pixels());
         Self {
             points: points.collect(),
+            sent: Sent::to(device, scene.frames.len(), pixels.max().unwrap_or(0)),
             scene,
             unseen,
         }
@@ -64,6 +68,7 @@ impl Data {
     pub(crate) fn training_view<'a>(&'a self, views: &'a Views, frame: usize) -> ViewRef<'a> {
         let mut view = ViewRef::training(views, &self.scene, frame);
         view.points = self.points[frame].as_deref();
+        view.sent = self.sent.get(frame);
         view
     }
 }
@@ -172,6 +177,7 @@ impl Trainer {
             views,
         };
         let state = State::new(model);
+        let data = Data::new(scene, unseen, &device);
         Ok(Self {
             run: Run {
                 plan,
@@ -179,7 +185,7 @@ impl Trainer {
                 device,
                 setback: None,
             },
-            data: Data::new(scene, unseen),
+            data,
         })
     }
 
@@ -209,10 +215,8 @@ impl Trainer {
             let found = unseen.len();
             return Err(OtherScene::UnseenViews { found }.into());
         }
-        Ok(Self {
-            run,
-            data: Data::new(scene, unseen),
-        })
+        let data = Data::new(scene, unseen, &run.device);
+        Ok(Self { run, data })
     }
 
     /// Reads a checkpoint back and goes on from it: [`Run::open`] and [`Self::resume`] in a row.

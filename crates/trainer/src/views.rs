@@ -1,5 +1,7 @@
 //! Where views are seen from, and what an iteration learns from.
 
+use crate::losses::point_disparity;
+use crate::sent::{Sent, on_device};
 use crate::tensors::host;
 use burn::tensor::{Bool, DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec2, DVec3};
@@ -125,11 +127,13 @@ pub(crate) struct ViewRef<'a> {
     pub(crate) frame: usize,
     image: &'a [f32],
     /// z-depth, 0 where missing, [H, W].
-    pub(crate) depth: Option<&'a [f32]>,
+    depth: Option<&'a [f32]>,
     /// z-depth of sparse points, 0 where there is none, [H, W].
     pub(crate) points: Option<&'a [f32]>,
     /// Dynamic mask, [H, W].
-    pub(crate) mask: Option<&'a [f32]>,
+    mask: Option<&'a [f32]>,
+    /// What of it is on a GPU.
+    pub(crate) sent: Option<&'a Sent>,
     /// Pixels that have a target, [H, W]; `None` where all have one.
     pub(crate) valid: Option<&'a [bool]>,
 }
@@ -144,6 +148,7 @@ impl<'a> ViewRef<'a> {
             depth: source.depth.as_ref().map(|m| m.values.as_slice()),
             points: None,
             mask: source.mask.as_ref().map(|m| m.values.as_slice()),
+            sent: None,
             valid: None,
         }
     }
@@ -156,6 +161,7 @@ impl<'a> ViewRef<'a> {
             depth: None,
             points: None,
             mask: view.mask.as_deref(),
+            sent: None,
             valid: Some(&view.valid),
         }
     }
@@ -171,9 +177,40 @@ impl<'a> ViewRef<'a> {
 
     /// The picture as a tensor [H, W, 3] of the device and dtype of another.
     pub(crate) fn image<const D: usize>(&self, like: &Tensor<D>) -> Tensor<3> {
+        let [height, width] = self.shape();
+        let kept = self.sent.map(|sent| &sent.image);
+        on_device(kept, like, [height, width, 3], || self.image.to_vec())
+    }
+
+    /// The given depth, [H, W], likewise.
+    pub(crate) fn depth<const D: usize>(&self, like: &Tensor<D>) -> Option<Tensor<2>> {
+        let depth = self.depth?;
+        let kept = self.sent.map(|sent| &sent.depth);
+        Some(on_device(kept, like, self.shape(), || depth.to_vec()))
+    }
+
+    /// The disparity of the sparse points times the scene size, [H, W], likewise.
+    pub(crate) fn point_disparity<const D: usize>(
+        &self,
+        like: &Tensor<D>,
+        scene_size: f64,
+    ) -> Option<Tensor<2>> {
+        let points = self.points?;
+        let kept = self.sent.map(|sent| &sent.points);
+        let disparity = || point_disparity(points, scene_size);
+        Some(on_device(kept, like, self.shape(), disparity))
+    }
+
+    /// The dynamic mask, [H, W], likewise.
+    pub(crate) fn mask<const D: usize>(&self, like: &Tensor<D>) -> Option<Tensor<2>> {
+        let mask = self.mask?;
+        let kept = self.sent.map(|sent| &sent.mask);
+        Some(on_device(kept, like, self.shape(), || mask.to_vec()))
+    }
+
+    fn shape(&self) -> [usize; 2] {
         let Camera { width, height, .. } = self.viewpoint.camera;
-        let data = TensorData::new(self.image.to_vec(), [height, width, 3]);
-        Tensor::from_data(data, (&like.device(), like.dtype()))
+        [height, width]
     }
 
     /// Pixels without a target, [H, W, 1]; `None` where all have one.

@@ -1,7 +1,7 @@
 //! The trainer's losses, and Adam, at their extremes.
 
 use super::case::{Case, Results, dtype, scaled};
-use crate::{noise, tensor, unit_noise, values};
+use crate::{map_like, noise, tensor, unit_noise, values};
 use burn::tensor::{Device, Tensor};
 use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 use trainer::losses::{depth_loss, mask_loss, photometric};
@@ -41,13 +41,15 @@ fn depth_case(name: &str, depth: Vec<f64>, alpha: f64, given: Vec<f32>) -> Case 
     let (h, w) = (8, 10);
     loss_case("depth loss", name, [h, w], depth, move |x| {
         let alpha = x.full_like(f64::from(alpha as f32));
-        depth_loss(x, &alpha, &given, 3.0)
+        let given = map_like(&given, &x);
+        depth_loss(x, &alpha, given, 3.0)
     })
 }
 
 fn mask_case(name: &str, target: Vec<f32>) -> Case {
     loss_case("mask loss", name, [9, 12], unit_noise(108, 4), move |x| {
-        mask_loss(x, &target, None, 1)
+        let target = map_like(&target, &x);
+        mask_loss(x, target, None, 1)
     })
 }
 

@@ -22,7 +22,7 @@ macro_rules! host_ops {
             fn depth_targets(
                 depth: FloatTensor<Self>,
                 alpha: FloatTensor<Self>,
-                given: &[f32],
+                given: FloatTensor<Self>,
                 scene_size: f64,
             ) -> DepthTargets<Self> {
                 with_float!(depth.dtype(), T => depth_targets_on::<T, Self>(depth, alpha, given, scene_size))
@@ -108,13 +108,13 @@ fn adam_on<T: HostFloat, B: HostBackend>(
 fn depth_targets_on<T: HostFloat, B: HostBackend>(
     mut depth: FloatTensor<B>,
     mut alpha: FloatTensor<B>,
-    given: &[f32],
+    mut given: FloatTensor<B>,
     scene_size: f64,
 ) -> DepthTargets<B> {
     let targets = depth::depth_targets(
         &B::elements::<T>(&mut depth),
         &B::elements::<T>(&mut alpha),
-        given,
+        &B::elements::<T>(&mut given),
         scene_size,
     );
     let [per_alpha, wanted, weight] =

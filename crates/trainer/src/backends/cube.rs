@@ -114,15 +114,14 @@ impl TrainerOps for CubeBackend {
     fn depth_targets(
         depth: FloatTensor<Self>,
         alpha: FloatTensor<Self>,
-        given: &[f32],
+        given: FloatTensor<Self>,
         scene_size: f64,
     ) -> DepthTargets<Self> {
-        let [depth, alpha] = [depth, alpha].map(flat);
+        let [depth, alpha, given] = [depth, alpha, given].map(flat);
         let client = alpha.client.clone();
         let of = |shape: &[usize], dtype| empty(&alpha, shape, dtype);
         let [per_alpha, wanted, weight] = [(); 3].map(|()| of(alpha.meta.shape(), DType::F32));
-        if !given.is_empty() {
-            let given = uploaded(given, &alpha, DType::F32);
+        if given.meta.num_elements() > 0 {
             let (nearest, size) = ((NEAREST * scene_size) as f32, scene_size as f32);
             let blocks = alpha.meta.num_elements().div_ceil(depth::BLOCK);
             let sums = of(&[blocks], DType::U32);

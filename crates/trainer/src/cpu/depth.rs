@@ -100,17 +100,20 @@ pub fn fit_disparity(given: &[f64], wanted: &[f64]) -> DisparityFit {
 pub(crate) fn depth_targets<T: Real>(
     depth: &[T],
     alpha: &[T],
-    given: &[f32],
+    given: &[T],
     scene_size: f64,
 ) -> [Vec<T>; 3] {
     let nearest = NEAREST * scene_size;
     let disparity = |depth: f64| scene_size / depth.max(nearest);
     let counted: Vec<usize> = (0..given.len())
-        .filter(|k| alpha[*k].to_f64() > OPAQUE && given[*k] > 0.0 && given[*k].is_finite())
+        .filter(|k| {
+            let given = given[*k].to_f64();
+            alpha[*k].to_f64() > OPAQUE && given > 0.0 && given.is_finite()
+        })
         .collect();
     let known: Vec<f64> = counted
         .iter()
-        .map(|k| disparity(f64::from(given[*k])))
+        .map(|k| disparity(given[*k].to_f64()))
         .collect();
     let rendered: Vec<f64> = counted
         .iter()
