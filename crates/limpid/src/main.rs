@@ -10,6 +10,7 @@ mod keys;
 mod lock;
 mod memory;
 mod outputs;
+mod progress;
 mod render;
 mod say;
 mod sheet;

@@ -7,15 +7,14 @@ use crate::failure::{Failure, with_causes};
 use crate::lock::Lock;
 use crate::memory;
 use crate::outputs;
+use crate::progress::{Progress, during};
 use crate::say::say;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use toml::{Table, Value};
-use trainer::{Change, Settings, StepReport, TrainError, Trainer, differences};
+use trainer::{Change, Settings, TrainError, Trainer, differences};
 
 /// Arguments of `limpid train`.
 #[derive(Debug, clap::Args)]
@@ -173,13 +172,14 @@ impl Started {
         stop.saved();
         if !trainer.is_done() {
             say!(
-                "stopped after iteration {}; the same command with --resume --out {} goes on",
+                "stopped after iteration {} of {}; to go on:\n  {}",
                 trainer.iteration(),
-                out.display()
+                trainer.settings().iterations,
+                to_go_on(out)
             );
             return Ok(ExitCode::from(INTERRUPTED));
         }
-        let evaluation = outputs::write_all(trainer, out)?;
+        let evaluation = during("rendering and scoring", || outputs::write_all(trainer, out))?;
         let metrics = outputs::metrics(&evaluation, trainer.run(), config.run.backend);
         io::write_json(&out.join("metrics.json"), &metrics)?;
         say!("{}", outputs::summary(&evaluation));
@@ -209,14 +209,17 @@ impl TrainArguments {
         outputs::check_folder(&out, self.force)?;
         // A folder that is not there yet is made once it is clear that there will be a run.
         let early = out.is_dir().then(|| Lock::of(&out)).transpose()?;
-        let scene = config.open_scene()?;
+        let scene = during("reading the scene", || config.open_scene())?;
         // What it is scored against is read at the end: better to fail now.
         scene.truth()?;
         for note in &scene.notes {
             say!("note: {note}");
         }
         check::before_training(&scene, self.force)?;
-        let trainer = Trainer::new(scene, config.settings.clone(), &device)?;
+        let settings = config.settings.clone();
+        let trainer = during("fitting motion and placing Gaussians", || {
+            Trainer::new(scene, settings, &device)
+        })?;
         std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
         let lock = match early {
             Some(lock) => lock,
@@ -267,7 +270,9 @@ impl TrainArguments {
                 _ => error.into(),
             }
         })?;
-        let trainer = Trainer::resume(run, config.open_scene()?)?;
+        let trainer = during("reading the scene", || -> Result<_, Failure> {
+            Ok(Trainer::resume(run, config.open_scene()?)?)
+        })?;
         config.changes = trainer.run().changes().to_vec();
         say!(
             "going on after iteration {} of {}",
@@ -361,73 +366,23 @@ fn consequence(change: &Change, scheduled: usize) -> String {
     }
 }
 
+/// The command that goes on with a run, as it can be pasted into a shell from the same folder.
+fn to_go_on(out: &Path) -> String {
+    let program = std::env::args_os().next();
+    let program = program.map_or("limpid".into(), PathBuf::from);
+    let word = |path: &Path| {
+        let text = path.display().to_string();
+        let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@".contains(c);
+        if text.chars().all(plain) {
+            text
+        } else {
+            format!("'{}'", text.replace('\'', "'\\''"))
+        }
+    };
+    format!("{} train --resume --out {}", word(&program), word(out))
+}
+
 fn absolute(scene: &Path) -> Result<PathBuf, Failure> {
     let found = scene.canonicalize();
     Ok(found.map_err(|e| format!("{e}: {}", scene.display()))?)
-}
-
-/// A bar on a terminal, a line now and then elsewhere.
-struct Progress {
-    bar: ProgressBar,
-    plain: bool,
-    started: Instant,
-    from: usize,
-    iterations: usize,
-    psnr: f64,
-}
-
-impl Progress {
-    fn new(from: usize, iterations: usize) -> Self {
-        let plain = !std::io::stderr().is_terminal();
-        let target = if plain {
-            ProgressDrawTarget::hidden()
-        } else {
-            ProgressDrawTarget::stderr()
-        };
-        let bar = ProgressBar::with_draw_target(Some(iterations as u64), target);
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} · {eta} left");
-        bar.set_style(style.expect("the template is valid"));
-        bar.set_position(from as u64);
-        bar.reset_eta();
-        Self {
-            bar,
-            plain,
-            started: Instant::now(),
-            from,
-            iterations,
-            psnr: f64::NAN,
-        }
-    }
-
-    fn show(&mut self, report: &StepReport) {
-        self.psnr = if self.psnr.is_nan() {
-            report.psnr
-        } else {
-            0.9 * self.psnr + 0.1 * report.psnr
-        };
-        let text = format!(
-            "loss {:.4} · PSNR {:.1} dB · {} Gaussians",
-            report.loss, report.psnr, report.gaussians
-        );
-        self.bar.set_position(report.iteration as u64);
-        let every = (self.iterations / 20).max(1);
-        if self.plain
-            && (report.iteration.is_multiple_of(every) || report.iteration == self.iterations)
-        {
-            let done = (report.iteration - self.from) as f64;
-            let left = self.started.elapsed().as_secs_f64() / done
-                * (self.iterations - report.iteration) as f64;
-            say!(
-                "{}/{} {text} · mean PSNR {:.1} dB · {left:.0} s left",
-                report.iteration,
-                self.iterations,
-                self.psnr
-            );
-        }
-        self.bar.set_message(text);
-    }
-
-    fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
 }
