@@ -1,0 +1,232 @@
+//! A report as a picture.
+
+use crate::error::LabError;
+use crate::report::{Report, Row, SceneTable};
+use crate::score::Score;
+use crate::statistics::{Summary, pareto_front};
+use crate::study::Plot;
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use std::path::Path;
+
+/// Width of a panel, px.
+const WIDTH: u32 = 460;
+/// Height of a panel with curves, px.
+const HEIGHT: u32 = 380;
+/// Height of a row where arms stand below each other, px.
+const ROW: u32 = 20;
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type Drawn = Result<(), Box<dyn std::error::Error>>;
+
+/// Draws a panel a scene; false where no run is finished yet, so that there is nothing to draw.
+///
+/// # Errors
+/// The plot shows a score that the report has not, or the file cannot be written.
+pub fn draw(report: &Report, plot: &Plot, path: &Path) -> Result<bool, LabError> {
+    let column = |score: &Score| {
+        let found = report.scores.iter().position(|s| s == score);
+        found.ok_or_else(|| {
+            let name = score.name();
+            LabError::Asked(format!("the plot shows `{name}`, which is not in `score`"))
+        })
+    };
+    let y = column(&plot.y)?;
+    let x = plot.x.as_ref().map(column).transpose()?;
+    let has_points = |table: &&SceneTable| table.rows.iter().any(|row| mean(row, y).is_some());
+    let tables: Vec<&SceneTable> = report.scenes.iter().filter(has_points).collect();
+    if tables.is_empty() {
+        return Ok(false);
+    }
+    let drawn = match x {
+        Some(x) => curves(report, &tables, (x, y), plot.front, path),
+        None => side_by_side(report, &tables, y, path),
+    };
+    drawn.map_err(|e| LabError::content(path, e))?;
+    Ok(true)
+}
+
+fn mean(row: &Row, score: usize) -> Option<Summary> {
+    row.cells[score].mean
+}
+
+/// An area a panel, in two columns.
+fn panels<'a>(area: &Area<'a>, count: usize) -> Vec<Area<'a>> {
+    area.split_evenly((count.div_ceil(2), count.min(2)))
+}
+
+fn size(count: usize, height: u32) -> (u32, u32) {
+    (
+        WIDTH * u32::from(count > 1).saturating_add(1),
+        height * u32::try_from(count.div_ceil(2)).unwrap_or(1),
+    )
+}
+
+/// The lowest and the highest of values, with a margin.
+fn range(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
+    let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
+    let margin = margin * (high - low).max(1e-3 * high.abs()).max(1e-9);
+    (low - margin, high + margin)
+}
+
+/// A value and what it would be one standard error less and more.
+fn with_error(s: &Summary) -> [f64; 3] {
+    let error = s.standard_error.unwrap_or(0.0);
+    [s.mean - error, s.mean, s.mean + error]
+}
+
+/// Arms below each other, with their standard errors.
+fn side_by_side(report: &Report, tables: &[&SceneTable], y: usize, path: &Path) -> Drawn {
+    let most = tables.iter().map(|t| t.rows.len()).max().unwrap_or(1);
+    let height = 70 + ROW * u32::try_from(most).unwrap_or(1);
+    let area = SVGBackend::new(path, size(tables.len(), height)).into_drawing_area();
+    area.fill(&WHITE)?;
+    for (panel, table) in panels(&area, tables.len()).iter().zip(tables) {
+        let rows: Vec<&Row> = table.rows.iter().collect();
+        let values = rows.iter().filter_map(|row| mean(row, y));
+        let (low, high) = range(values.flat_map(|s| with_error(&s)), 0.05);
+        let bottom = rows.len() as f64 - 0.5;
+        let mut chart = ChartBuilder::on(panel)
+            .caption(&table.scene, ("sans-serif", 15))
+            .margin(8)
+            .margin_left(150)
+            .x_label_area_size(32)
+            .build_cartesian_2d(low..high, bottom..-0.5)?;
+        chart
+            .configure_mesh()
+            .disable_y_mesh()
+            .disable_y_axis()
+            .x_labels(5)
+            .x_desc(report.scores[y].heading())
+            .light_line_style(WHITE)
+            .draw()?;
+        for (i, row) in rows.iter().enumerate() {
+            let at = i as f64;
+            let (_, pixel) = chart.backend_coord(&(low, at));
+            let (left, top) = panel.get_base_pixel();
+            let style = ("sans-serif", 12).into_font().color(&BLACK);
+            let place = (142, pixel - top);
+            let style = style.pos(plotters::style::text_anchor::Pos::new(
+                plotters::style::text_anchor::HPos::Right,
+                plotters::style::text_anchor::VPos::Center,
+            ));
+            debug_assert!(left >= 0, "panels lie in the picture");
+            panel.draw(&Text::new(row.arm.clone(), place, style))?;
+            if let Some(s) = mean(row, y) {
+                let [less, middle, more] = with_error(&s);
+                chart.draw_series([PathElement::new([(less, at), (more, at)], BLUE)])?;
+                chart.draw_series([Circle::new((middle, at), 4, BLUE.filled())])?;
+            }
+        }
+    }
+    area.present()?;
+    Ok(())
+}
+
+/// Quality against cost, every knob a curve through the arm that it is turned on.
+fn curves(
+    report: &Report,
+    tables: &[&SceneTable],
+    (x, y): (usize, usize),
+    front: bool,
+    path: &Path,
+) -> Drawn {
+    let mut knobs: Vec<&str> = Vec::new();
+    for row in tables.iter().flat_map(|table| &table.rows) {
+        if let Some(knob) = row.knob.as_deref().filter(|k| !knobs.contains(k)) {
+            knobs.push(knob);
+        }
+    }
+    let (width, height) = size(tables.len(), HEIGHT);
+    let area = SVGBackend::new(path, (width, height + 34 + 9 * knobs.len() as u32));
+    let area = area.into_drawing_area();
+    area.fill(&WHITE)?;
+    let (top, bottom) = area.split_vertically(height);
+    for (panel, table) in panels(&top, tables.len()).iter().zip(tables) {
+        let points: Vec<(&Row, f64, Summary)> = table
+            .rows
+            .iter()
+            .filter_map(|row| Some((row, mean(row, x)?.mean, mean(row, y)?)))
+            .filter(|(_, cost, _)| *cost > 0.0)
+            .collect();
+        if points.is_empty() {
+            continue;
+        }
+        let (left, right) = range(points.iter().map(|(_, cost, _)| cost.ln()), 0.08);
+        let (low, high) = range(points.iter().flat_map(|(.., s)| with_error(s)), 0.08);
+        let mut chart = ChartBuilder::on(panel)
+            .caption(&table.scene, ("sans-serif", 15))
+            .margin(8)
+            .x_label_area_size(34)
+            .y_label_area_size(46)
+            .build_cartesian_2d((left.exp()..right.exp()).log_scale(), low..high)?;
+        chart
+            .configure_mesh()
+            .x_desc(report.scores[x].heading())
+            .y_desc(report.scores[y].heading())
+            .x_labels(6)
+            .y_labels(6)
+            .x_label_formatter(&|v| format!("{v:.0}"))
+            .light_line_style(WHITE)
+            .draw()?;
+        if front {
+            let all: Vec<(f64, f64)> = points.iter().map(|(_, c, s)| (*c, s.mean)).collect();
+            let best = pareto_front(&all).into_iter().map(|i| all[i]);
+            let grey = BLACK.mix(0.25).stroke_width(4);
+            chart.draw_series(LineSeries::new(best, grey))?;
+        }
+        for (i, knob) in knobs.iter().enumerate() {
+            let color = Palette99::pick(i).to_rgba();
+            let of_knob = points
+                .iter()
+                .filter(|(row, ..)| row.knob.as_deref() == Some(*knob));
+            let of_knob: Vec<_> = of_knob.collect();
+            let on = of_knob.first().and_then(|(row, ..)| row.against.as_deref());
+            let on = points
+                .iter()
+                .filter(|(row, ..)| Some(row.arm.as_str()) == on);
+            let mut line: Vec<(f64, f64)> = of_knob
+                .iter()
+                .copied()
+                .chain(on)
+                .map(|(_, cost, s)| (*cost, s.mean))
+                .collect();
+            line.sort_by(|a, b| a.0.total_cmp(&b.0));
+            chart.draw_series(LineSeries::new(line, color.stroke_width(1)))?;
+            for (_, cost, s) in of_knob {
+                let [less, middle, more] = with_error(s);
+                chart.draw_series([PathElement::new([(*cost, less), (*cost, more)], color)])?;
+                chart.draw_series([Circle::new((*cost, middle), 3, color.filled())])?;
+            }
+        }
+        for (row, cost, s) in points.iter().filter(|(row, ..)| row.knob.is_none()) {
+            let [less, middle, more] = with_error(s);
+            chart.draw_series([PathElement::new([(*cost, less), (*cost, more)], BLACK)])?;
+            chart.draw_series([EmptyElement::at((*cost, middle))
+                + Circle::new((0, 0), 4, BLACK.filled())
+                + Text::new(row.arm.clone(), (7, -6), ("sans-serif", 12))])?;
+        }
+    }
+    key(&bottom, &knobs, front)?;
+    area.present()?;
+    Ok(())
+}
+
+/// Which colour is which knob, two a line.
+fn key(area: &Area<'_>, knobs: &[&str], front: bool) -> Drawn {
+    let front = front.then_some("nothing beats these (Pareto front)");
+    let entries = knobs.iter().copied().chain(front);
+    for (i, name) in entries.enumerate() {
+        let (column, line) = (i32::try_from(i % 2)?, i32::try_from(i / 2)?);
+        let (left, top) = (54 + column * (WIDTH as i32 / 2 + 20), 10 + 18 * line);
+        let style = if i < knobs.len() {
+            Palette99::pick(i).to_rgba().stroke_width(2)
+        } else {
+            BLACK.mix(0.25).stroke_width(4)
+        };
+        area.draw(&PathElement::new([(left, top), (left + 22, top)], style))?;
+        let text = Text::new(name, (left + 28, top - 6), ("sans-serif", 12));
+        area.draw(&text)?;
+    }
+    Ok(())
+}
