@@ -38,8 +38,13 @@ impl Children {
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Runs a command to its end, and says what it took; nothing where no more is to be started.
-    pub(crate) fn run(&self, command: &mut Command) -> io::Result<Option<ResUse>> {
+    /// Runs a command to its end, and says what it took; nothing where no more is to be started. `began` is told the process's
+    /// number.
+    pub(crate) fn run(
+        &self,
+        command: &mut Command,
+        began: impl FnOnce(u32),
+    ) -> io::Result<Option<ResUse>> {
         own_group(command);
         let mut child: Child = {
             let mut running = self.lock();
@@ -50,6 +55,7 @@ impl Children {
             running.insert(child.id());
             child
         };
+        began(child.id());
         loop {
             {
                 let mut running = self.lock();

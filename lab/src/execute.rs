@@ -7,7 +7,7 @@ use crate::plan::{PlannedRun, Program, write_json};
 use crate::score::Measured;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, TryLockError};
-use std::io::{Read as _, Seek as _, SeekFrom};
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -123,7 +123,12 @@ pub fn execute(
         fs::create_dir_all(runs).map_err(LabError::file(runs))?;
     }
     let path = beside(folder, "lock");
-    let lock = File::create(&path).map_err(LabError::file(&path))?;
+    let lock = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(&path);
+    let mut lock = lock.map_err(LabError::file(&path))?;
     match lock.try_lock() {
         // Some file systems have no locks; the program has one of its own in its folder.
         Ok(()) | Err(TryLockError::Error(_)) => {}
@@ -154,7 +159,12 @@ pub fn execute(
     command.env("RAYON_NUM_THREADS", "1");
 
     let (began, clock) = (now(), Instant::now());
-    let ended = children.run(&mut command);
+    let ended = children.run(&mut command, |process| {
+        // For who wants to look at it or to end it; nothing depends on it.
+        lock.set_len(0)
+            .and_then(|()| writeln!(lock, "{process}"))
+            .ok();
+    });
     let Some(ended) = ended.map_err(LabError::file(&program.path))? else {
         return Ok(Outcome::Stopped);
     };

@@ -192,6 +192,12 @@ pub fn cases(study: &Study, path: &Path, program: &str) -> Result<Vec<Case>, Lab
 }
 
 impl Arm {
+    /// Whether it is given something that nobody has outside of a laboratory.
+    #[must_use]
+    pub fn is_given_truth(&self) -> bool {
+        !self.truth.is_empty()
+    }
+
     fn run(&self, scene: &str, seed: u64, program: &str) -> Result<Run, String> {
         let mut settings = self.settings.clone();
         for (key, instead) in [("seed", "seeds"), ("scene", "scenes")] {

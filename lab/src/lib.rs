@@ -7,6 +7,7 @@
 //! It knows no Burn and nothing of training: the program `limpid` is started, and its `metrics.json` read.
 
 mod children;
+mod engines;
 mod error;
 mod execute;
 mod expand;
@@ -22,6 +23,7 @@ mod study;
 mod table;
 
 pub use children::Children;
+pub use engines::Engine;
 pub use error::LabError;
 pub use execute::{Attempt, Failed, Outcome, Record, execute, is_finished};
 pub use expand::{Arm, Case, Run, arms, cases};

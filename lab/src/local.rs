@@ -210,11 +210,7 @@ impl<'a> Line<'a> {
             0 => String::new(),
             n => format!(" ({n} failed)"),
         };
-        let text = format!(
-            "{ended}/{runs} runs{failed} · {} running · {left}",
-            self.running.len()
-        );
-        (done, text)
+        (done, format!("{ended}/{runs} runs{failed} · {left}"))
     }
 
     fn show(&self, tally: &Tally) {

@@ -2,8 +2,8 @@
 
 use clap::{Args, Parser, Subcommand};
 use limpid_lab::{
-    Children, LabError, Outcome, Places, Plan, Program, Scenes, Study, Tally, draw, execute,
-    failure, gather, markdown, run_all,
+    Children, Engine, LabError, Outcome, Places, Plan, Program, Scenes, Study, Tally, draw,
+    execute, failure, gather, markdown, run_all,
 };
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -27,8 +27,14 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// List a study's runs in runs.json, with a command each.
-    Plan(StudyArguments),
+    /// List a study's runs in runs.json, with a command each, and write a script for a scheduler.
+    Plan {
+        #[command(flatten)]
+        study: StudyArguments,
+        /// The scheduler.
+        #[arg(long)]
+        engine: Option<Engine>,
+    },
     /// Run what is not there yet, side by side on this machine.
     Run(StudyArguments),
     /// Make tables, a plot and JSON of what is there.
@@ -78,7 +84,7 @@ const INTERRUPTED: u8 = 130;
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let result = match (arguments.command, arguments.all) {
-        (Some(Command::Plan(arguments)), _) => arguments.plan().map(|_| ExitCode::SUCCESS),
+        (Some(Command::Plan { study, engine }), _) => study.plan_for(engine),
         (Some(Command::Run(arguments)), _) => arguments.run(),
         (Some(Command::Gather(arguments)), _) => arguments.gather(),
         (Some(Command::One { plan, run }), _) => one(&plan, &run),
@@ -171,11 +177,27 @@ impl StudyArguments {
         Ok(plan)
     }
 
+    fn jobs(&self) -> usize {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        self.jobs.unwrap_or(cores)
+    }
+
+    fn plan_for(&self, engine: Option<Engine>) -> Result<ExitCode, LabError> {
+        let plan = self.plan()?;
+        if let Some(engine) = engine {
+            let places = Places {
+                out: self.out.clone(),
+            };
+            let script = engine.write(&plan, self.jobs(), &places.study(&plan.study))?;
+            say(&script.display().to_string());
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+
     fn run(&self) -> Result<ExitCode, LabError> {
         let children = listen()?;
         let plan = self.plan()?;
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let tally = run_all(&plan, self.jobs.unwrap_or(cores), &children, say)?;
+        let tally = run_all(&plan, self.jobs(), &children, say)?;
         summary(&tally);
         Ok(if !tally.failed.is_empty() {
             ExitCode::FAILURE

@@ -143,34 +143,37 @@ fn curves(
     area.fill(&WHITE)?;
     let (top, bottom) = area.split_vertically(height);
     for (panel, table) in panels(&top, tables.len()).iter().zip(tables) {
+        // Costs by their logarithms: an axis of plotters' own would have marks at powers of ten alone.
         let points: Vec<(&Row, f64, Summary)> = table
             .rows
             .iter()
-            .filter_map(|row| Some((row, mean(row, x)?.mean, mean(row, y)?)))
-            .filter(|(_, cost, _)| *cost > 0.0)
+            .filter_map(|row| Some((row, mean(row, x)?.mean.ln(), mean(row, y)?)))
+            .filter(|(_, cost, _)| cost.is_finite())
             .collect();
         if points.is_empty() {
             continue;
         }
-        let (left, right) = range(points.iter().map(|(_, cost, _)| cost.ln()), 0.08);
+        let (left, right) = range(points.iter().map(|(_, cost, _)| *cost), 0.08);
         let (low, high) = range(points.iter().flat_map(|(.., s)| with_error(s)), 0.08);
         let mut chart = ChartBuilder::on(panel)
             .caption(&table.scene, ("sans-serif", 15))
             .margin(8)
             .x_label_area_size(34)
             .y_label_area_size(46)
-            .build_cartesian_2d((left.exp()..right.exp()).log_scale(), low..high)?;
+            .build_cartesian_2d(left..right, low..high)?;
         chart
             .configure_mesh()
             .x_desc(report.scores[x].heading())
             .y_desc(report.scores[y].heading())
             .x_labels(6)
             .y_labels(6)
-            .x_label_formatter(&|v| format!("{v:.0}"))
+            .x_label_formatter(&|v| two_digits(v.exp()))
             .light_line_style(WHITE)
             .draw()?;
         if front {
-            let all: Vec<(f64, f64)> = points.iter().map(|(_, c, s)| (*c, s.mean)).collect();
+            // What is given the truth is no choice.
+            let choices = points.iter().filter(|(row, ..)| !row.is_given_truth);
+            let all: Vec<(f64, f64)> = choices.map(|(_, c, s)| (*c, s.mean)).collect();
             let best = pareto_front(&all).into_iter().map(|i| all[i]);
             let grey = BLACK.mix(0.25).stroke_width(4);
             chart.draw_series(LineSeries::new(best, grey))?;
@@ -212,6 +215,12 @@ fn curves(
     Ok(())
 }
 
+/// A number with two digits that count.
+fn two_digits(value: f64) -> String {
+    let digits = (1.0 - value.abs().log10().floor()).clamp(0.0, 9.0);
+    format!("{value:.*}", digits as usize)
+}
+
 /// Which colour is which knob, two a line.
 fn key(area: &Area<'_>, knobs: &[&str], front: bool) -> Drawn {
     let front = front.then_some("nothing beats these (Pareto front)");
@@ -229,4 +238,119 @@ fn key(area: &Area<'_>, knobs: &[&str], front: bool) -> Drawn {
         area.draw(&text)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::Cell;
+
+    fn row(arm: &str, knob: Option<&str>, cost: f64, quality: f64) -> Row {
+        let cell = |value: f64| Cell {
+            mean: Summary::of(&[value - 0.1, value + 0.1]),
+            ..Cell::default()
+        };
+        Row {
+            arm: arm.to_owned(),
+            against: (arm != "base").then(|| "base".to_owned()),
+            knob: knob.map(str::to_owned),
+            is_given_truth: arm == "bound",
+            scenes: 1,
+            runs: 2,
+            cells: vec![cell(cost), cell(quality)],
+        }
+    }
+
+    fn report(scenes: usize) -> Report {
+        let rows = vec![
+            row("base", None, 10.0, 30.0),
+            row("bound", None, 9.0, 35.0),
+            row("K = 3", Some("K"), 5.0, 28.0),
+            row("K < 9", Some("K"), 20.0, 31.0),
+        ];
+        let table = |i: usize| SceneTable {
+            scene: format!("scene-{i}"),
+            rows: rows.clone(),
+        };
+        Report {
+            study: "s".to_owned(),
+            title: "S".to_owned(),
+            about: String::new(),
+            version: "limpid 0".to_owned(),
+            commit: None,
+            changed: false,
+            dates: None,
+            machines: Vec::new(),
+            planned: 8,
+            finished: 8,
+            failed: Vec::new(),
+            seeds: vec![1, 2],
+            baseline: "base".to_owned(),
+            bound: Some("bound".to_owned()),
+            scores: ["cpu", "all"]
+                .map(|name| Score::from(name.to_owned()))
+                .to_vec(),
+            scenes: (0..scenes).map(table).collect(),
+            overall: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_picture_names_what_is_in_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("p.svg");
+        let score = |name: &str| Score::from(name.to_owned());
+        for x in [None, Some(score("cpu"))] {
+            let plot = Plot {
+                front: x.is_some(),
+                x: x.clone(),
+                y: score("all"),
+            };
+            assert!(
+                draw(&report(3), &plot, &path).expect("drawn"),
+                "there are points"
+            );
+            let text = std::fs::read_to_string(&path).expect("a picture");
+            let names = ["scene-0", "scene-2", "all, dB", "base", "bound"];
+            let curves = ["processor, s", "K", "Pareto"];
+            let arms = ["K = 3", "K &lt; 9"];
+            let more = if x.is_some() { &curves[..] } else { &arms[..] };
+            for name in names.iter().chain(more) {
+                assert!(text.contains(name), "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_runs_there_is_no_picture_and_a_score_must_be_there() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("p.svg");
+        let plot = |y: &str| Plot {
+            x: None,
+            y: Score::from(y.to_owned()),
+            front: false,
+        };
+        let mut empty = report(1);
+        for row in &mut empty.scenes[0].rows {
+            row.cells = vec![Cell::default(), Cell::default()];
+        }
+        assert!(
+            !draw(&empty, &plot("all"), &path).expect("nothing wrong"),
+            "nothing"
+        );
+        let said = draw(&report(1), &plot("ssim"), &path).expect_err("no such column");
+        assert!(said.to_string().contains("`ssim`"), "{said}");
+    }
+
+    #[test]
+    fn marks_have_two_digits() {
+        for (value, text) in [
+            (0.123, "0.12"),
+            (7.39, "7.4"),
+            (12.4, "12"),
+            (1096.6, "1097"),
+        ] {
+            assert_eq!(two_digits(value), text);
+        }
+    }
 }

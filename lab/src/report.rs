@@ -87,6 +87,8 @@ pub struct Row {
     pub against: Option<String>,
     /// The knob that it is a point of.
     pub knob: Option<String>,
+    /// Whether it is given something of the truth.
+    pub is_given_truth: bool,
     /// How many scenes it is a mean of.
     pub scenes: usize,
     /// How many of its runs are finished.
@@ -234,6 +236,7 @@ fn row(arm: &Arm, scenes: usize, runs: usize, cells: Vec<Cell>) -> Row {
         arm: arm.name.clone(),
         against: arm.against.clone(),
         knob: arm.knob.clone(),
+        is_given_truth: arm.is_given_truth(),
         scenes,
         runs,
         cells,
