@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// A figure of a run: one of a few by a short name, or any of `metrics.json` by its dotted name.
+/// A figure of a run: one of a few by a short name, or any of `metrics.json` by its dotted name, in
+/// which `*` is the mean over a list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub struct Score {
@@ -153,13 +154,21 @@ impl Score {
     }
 }
 
-fn at(metrics: &Value, path: &str) -> Option<f64> {
-    path.split('.')
-        .try_fold(metrics, |value, key| match value {
-            Value::Array(list) => list.get(key.parse::<usize>().ok()?),
-            other => other.get(key),
-        })?
-        .as_f64()
+/// The number under a dotted name; `*` is the mean over a list.
+fn at(value: &Value, path: &str) -> Option<f64> {
+    if path.is_empty() {
+        return value.as_f64();
+    }
+    let (key, rest) = path.split_once('.').unwrap_or((path, ""));
+    match value {
+        Value::Array(list) if key == "*" => {
+            let values: Option<Vec<f64>> = list.iter().map(|inner| at(inner, rest)).collect();
+            let values = values.filter(|values| !values.is_empty())?;
+            Some(values.iter().sum::<f64>() / values.len() as f64)
+        }
+        Value::Array(list) => at(list.get(key.parse::<usize>().ok()?)?, rest),
+        other => at(other.get(key)?, rest),
+    }
 }
 
 #[cfg(test)]
@@ -171,7 +180,8 @@ mod tests {
         let metrics = serde_json::json!({
             "test": {"mpsnr": 30.5, "mpsnr_dynamic": null},
             "gaussians": {"static": 3, "dynamic": 4},
-            "frames": [{"blur_px": 1.5}],
+            "frames": [{"blur_px": 1.5}, {"blur_px": 3.5}],
+            "none": [],
         });
         let measured = Measured {
             cpu_seconds: 7.0,
@@ -186,7 +196,10 @@ mod tests {
         assert_eq!(of("cpu"), Some(7.0));
         assert_eq!(of("memory"), None, "not measured");
         assert_eq!(of("frames.0.blur_px"), Some(1.5));
-        assert_eq!(of("frames.1.blur_px"), None);
+        assert_eq!(of("frames.2.blur_px"), None);
+        assert_eq!(of("frames.*.blur_px"), Some(2.5));
+        assert_eq!(of("frames.*.focus"), None);
+        assert_eq!(of("none.*.blur_px"), None);
         assert_eq!(of("no.such"), None);
         let unmeasured = Score::from("cpu".to_owned()).of(&metrics, None);
         assert_eq!(unmeasured, None, "a run from elsewhere");

@@ -4,6 +4,7 @@
 
 #![cfg(unix)]
 
+use std::collections::BTreeSet;
 use std::error::Error;
 use std::fs;
 use std::io::Write as _;
@@ -372,4 +373,38 @@ fn hyperqueue_works_through_a_study() -> Outcome {
         said(&output)
     );
     check_report(&bench, "HyperQueue")
+}
+
+/// The program names a setting that is not there, or out of its range, before it looks for the scene.
+#[test]
+fn the_repositorys_studies_have_settings_that_there_are() -> Outcome {
+    let Some(program) = limpid("settings of studies") else {
+        return Ok(());
+    };
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("studies");
+    let mut tried = BTreeSet::new();
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let study = limpid_lab::Study::read(&path)?;
+        for case in limpid_lab::cases(&study, &path, "")? {
+            let arguments = case.run.arguments;
+            // The seed is no setting that a study could have wrong.
+            if !tried.insert(arguments[2..].to_vec()) {
+                continue;
+            }
+            let mut command = Command::new(&program);
+            command.args(["train", "--scene", "no-such-scene"]);
+            let output = command.args(&arguments).output()?;
+            let text = said(&output);
+            assert!(!output.status.success(), "{text}");
+            assert!(
+                text.contains("no-such-scene") && !text.contains("--set"),
+                "{}: {}: {text}",
+                path.display(),
+                case.arm
+            );
+        }
+    }
+    assert!(tried.len() > 50, "only {} were found", tried.len());
+    Ok(())
 }
