@@ -65,7 +65,8 @@ impl Scenes {
 
     /// A copy of a scene, all links but for the depth, which is that of the truth.
     fn with_true_depth(&self, name: &str, scene: &Path) -> Result<PathBuf, LabError> {
-        let copy = self.links.join(format!("{name}+depth"));
+        let links = std::path::absolute(&self.links).map_err(LabError::file(&self.links))?;
+        let copy = links.join(format!("{name}+depth"));
         let whole = copy.join(".whole");
         if whole.exists() {
             return Ok(copy);
