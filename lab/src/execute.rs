@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::fs::{self, File, TryLockError};
 use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// What became of a run.
@@ -152,7 +152,8 @@ pub fn execute(
     let said = File::options().create(true).append(true).open(&log);
     let said = said.map_err(LabError::file(&log))?;
     let from = said.metadata().map_err(LabError::file(&log))?.len();
-    command.stdin(Stdio::null());
+    // The lock stays as long as the process lives, even where this one does not.
+    command.stdin(lock.try_clone().map_err(LabError::file(&path))?);
     command.stdout(said.try_clone().map_err(LabError::file(&log))?);
     command.stderr(said);
     // Runs go side by side, and a thread each is the most that all of them together can use.

@@ -163,8 +163,10 @@ impl StudyArguments {
         let this = std::env::current_exe();
         let this = this.map_err(|e| LabError::Asked(format!("this program is nowhere: {e}")))?;
         let limpid = format!("limpid{}", std::env::consts::EXE_SUFFIX);
-        let beside = this.with_file_name(limpid);
-        let program = Program::keep(self.program.as_ref().unwrap_or(&beside), places, &root())?;
+        let program = match &self.program {
+            Some(program) => Program::keep(program, places, None)?,
+            None => Program::keep(&this.with_file_name(limpid), places, Some(&root()))?,
+        };
         let scenes = Scenes {
             demo: root().join("demo"),
             folder: self.scenes.clone(),
@@ -233,10 +235,10 @@ fn listen() -> Result<Arc<Children>, LabError> {
 }
 
 fn summary(tally: &Tally) {
-    let mut text = format!("{} runs finished", tally.finished);
+    let mut text = format!("runs: {} finished", tally.finished);
     for (count, what) in [
-        (tally.there, "were there"),
-        (tally.left, "are left"),
+        (tally.there, "there already"),
+        (tally.left, "left"),
         (tally.failed.len(), "failed"),
     ] {
         if count > 0 {

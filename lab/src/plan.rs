@@ -88,15 +88,21 @@ impl Places {
 }
 
 impl Program {
-    /// Keeps a copy of the program that is to train, and finds out what it is; `checkout` is where it was built.
+    /// Keeps a copy of the program that is to train, and finds out what it is. `checkout` is where it was built; without it, its
+    /// commit is what was known when it was kept before.
     ///
     /// # Errors
     /// It cannot be read, copied or started.
-    pub fn keep(program: &Path, places: &Places, checkout: &Path) -> Result<Self, LabError> {
+    pub fn keep(
+        program: &Path,
+        places: &Places,
+        checkout: Option<&Path>,
+    ) -> Result<Self, LabError> {
         let bytes = fs::read(program).map_err(LabError::file(program))?;
         let fingerprint = hex(&Sha256::digest(&bytes)[..8]);
         let folder = places.out.join("programs");
         fs::create_dir_all(&folder).map_err(LabError::file(&folder))?;
+        let folder = fs::canonicalize(&folder).map_err(LabError::file(&folder))?;
         let suffix = std::env::consts::EXE_SUFFIX;
         let copy = folder.join(format!("limpid-{fingerprint}{suffix}"));
         if !copy.exists() {
@@ -109,23 +115,42 @@ impl Program {
         if !answer.status.success() {
             return Err(LabError::content(program, "it does not say its version"));
         }
-        let git = |args: &[&str]| {
-            let output = Command::new("git")
-                .args(args)
-                .current_dir(checkout)
-                .output();
-            let output = output.ok().filter(|output| output.status.success())?;
-            Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+        let known = folder.join(format!("limpid-{fingerprint}.json"));
+        let before = || -> Option<Self> { serde_json::from_slice(&fs::read(&known).ok()?).ok() };
+        let source = match checkout.and_then(source) {
+            // Without changes, this commit makes this program, whichever commits made it before.
+            Some((commit, false)) => Some((commit, false)),
+            now => before()
+                .and_then(|before| Some((before.commit?, before.changed)))
+                .or(now),
         };
-        Ok(Self {
-            path: fs::canonicalize(&copy).map_err(LabError::file(&copy))?,
+        let (commit, changed) = source.unzip();
+        let kept = Self {
+            path: copy,
             fingerprint,
             version: String::from_utf8_lossy(&answer.stdout).trim().to_owned(),
-            commit: git(&["rev-parse", "--short=7", "HEAD"]),
-            changed: git(&["status", "--porcelain", "--untracked-files=no"])
-                .is_some_and(|files| !files.is_empty()),
-        })
+            commit,
+            changed: changed.unwrap_or(false),
+        };
+        write_json(&known, &kept)?;
+        Ok(kept)
     }
+}
+
+/// The commit of a checkout, where git knows, and whether what the program is built from differs from it.
+fn source(checkout: &Path) -> Option<(String, bool)> {
+    let git = |args: &[&str]| {
+        let output = Command::new("git")
+            .args(args)
+            .current_dir(checkout)
+            .output();
+        let output = output.ok().filter(|output| output.status.success())?;
+        Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let commit = git(&["rev-parse", "--short=7", "HEAD"])?;
+    let built_from = ["crates", "Cargo.toml", "Cargo.lock"];
+    let changes = git(&[&["status", "--porcelain", "--"], &built_from[..]].concat())?;
+    Some((commit, !changes.is_empty()))
 }
 
 impl Plan {
@@ -220,4 +245,63 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), LabE
     let half = path.with_extension(format!("{}.tmp", std::process::id()));
     fs::write(&half, text + "\n").map_err(LabError::file(&half))?;
     fs::rename(&half, path).map_err(LabError::file(path))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt;
+
+    fn git(folder: &Path, args: &[&str]) {
+        let identity = ["-c", "user.name=n", "-c", "user.email=e@x"];
+        let status = Command::new("git")
+            .args(identity)
+            .args(args)
+            .current_dir(folder)
+            .output();
+        assert!(status.expect("git").status.success(), "git {args:?}");
+    }
+
+    #[test]
+    fn a_program_is_its_bytes_and_keeps_the_commit_that_made_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let checkout = folder.path().join("checkout");
+        let file = checkout.join("crates/a.rs");
+        fs::create_dir_all(checkout.join("crates")).expect("a folder");
+        fs::write(&file, "1").expect("a file");
+        fs::write(checkout.join("README"), "1").expect("a file");
+        git(&checkout, &["init", "--quiet"]);
+        git(&checkout, &["add", "."]);
+        git(&checkout, &["commit", "--quiet", "--message", "first"]);
+
+        let program = folder.path().join("program");
+        let write = |text: &str| {
+            fs::write(&program, format!("#!/bin/sh\necho {text}\n")).expect("a script");
+            fs::set_permissions(&program, PermissionsExt::from_mode(0o755)).expect("executable");
+        };
+        let places = Places {
+            out: folder.path().join("out"),
+        };
+        let keep = |checkout: Option<&Path>| {
+            let kept = Program::keep(&program, &places, checkout);
+            kept.expect("a program")
+        };
+        write("limpid 1");
+        assert_eq!(keep(None).commit, None, "from anywhere");
+        let first = keep(Some(&checkout));
+        assert_eq!(first.version, "limpid 1");
+        assert!(first.commit.is_some() && !first.changed, "{first:?}");
+        assert_eq!(keep(None), first, "known by its bytes");
+        fs::write(checkout.join("README"), "2").expect("a file");
+        assert!(!keep(Some(&checkout)).changed, "no source of the program");
+        fs::write(&file, "2").expect("a file");
+        assert_eq!(keep(Some(&checkout)), first, "the same bytes all the same");
+
+        write("limpid 2");
+        let second = keep(Some(&checkout));
+        assert_ne!(second.fingerprint, first.fingerprint, "other bytes");
+        assert!(second.changed, "{second:?}");
+        assert_ne!(second.path, first.path, "both are kept");
+        assert!(first.path.exists(), "both are kept");
+    }
 }

@@ -167,10 +167,8 @@ fn check_report(bench: &Bench, engine: &str) -> Outcome {
     assert!(table.contains("## Runs that died"), "{table}");
     let rows = report["scenes"][0]["rows"].as_array().ok_or("rows")?;
     let camera = &rows[1];
-    assert_eq!(
-        (camera["arm"].as_str(), &camera["runs"]),
-        (Some("camera"), &1.into())
-    );
+    assert_eq!(camera["arm"], "camera", "{engine}");
+    assert_eq!(camera["runs"], 1, "{engine}");
     // Iterations are those that were asked for; a quarter of a second and ten megabytes are less than any run takes.
     assert_eq!(camera["cells"][3]["mean"]["mean"], 200.0, "{engine}");
     assert!(
@@ -209,7 +207,7 @@ fn this_machine_goes_on_when_a_run_dies_and_ends_what_is_missing_later() -> Outc
     for part in [
         "failed: demo, camera, seed 1",
         "killed by signal 9",
-        "3 runs finished, 1 failed",
+        "runs: 3 finished, 1 failed",
         "tries them again",
     ] {
         assert!(text.contains(part), "{part}: {text}");
@@ -221,7 +219,7 @@ fn this_machine_goes_on_when_a_run_dies_and_ends_what_is_missing_later() -> Outc
     let output = bench.lab("run", &[]).output()?;
     let text = said(&output);
     assert!(output.status.success(), "{text}");
-    assert!(text.contains("1 runs finished, 3 were there"), "{text}");
+    assert!(text.contains("runs: 1 finished, 3 there already"), "{text}");
     let after = fs::metadata(bench.run(&plan, "off", 1).join("metrics.json"))?.modified()?;
     assert_eq!(before, after, "not run again");
     let (report, table) = bench.report()?;
@@ -240,15 +238,19 @@ fn this_machine_goes_on_when_a_run_dies_and_ends_what_is_missing_later() -> Outc
     Ok(())
 }
 
-/// A run of 5,000 iterations, so that there is time to end it.
+/// One arm, with 5,000 iterations, so that there is time to end it.
+fn long_study() -> String {
+    let (one_arm, _) = STUDY.rsplit_once("[[variants]]").expect("two variants");
+    let long = one_arm.replace("iterations = 200", "iterations = 5000");
+    long.replace("seeds = [1, 2]", "seeds = [1]")
+}
+
 #[test]
 fn ctrl_c_ends_a_study_that_goes_on_from_its_checkpoints() -> Outcome {
     let Some(program) = limpid("Ctrl-C") else {
         return Ok(());
     };
-    let study = STUDY.replace("iterations = 200", "iterations = 5000");
-    let study = study.replace("seeds = [1, 2]", "seeds = [1]");
-    let bench = Bench::new(&program, &study)?;
+    let bench = Bench::new(&program, &long_study())?;
     let plan = bench.plan(&[])?;
     let run = bench.run(&plan, "off", 1);
     let lab = bench.lab("run", &[]).spawn()?;
@@ -261,7 +263,7 @@ fn ctrl_c_ends_a_study_that_goes_on_from_its_checkpoints() -> Outcome {
         text.contains("the same command goes on from there"),
         "{text}"
     );
-    assert!(text.contains("0 runs finished, 2 are left"), "{text}");
+    assert!(text.contains("runs: 0 finished, 1 left"), "{text}");
 
     let output = bench.lab("run", &[]).output()?;
     assert!(output.status.success(), "{}", said(&output));
@@ -271,6 +273,36 @@ fn ctrl_c_ends_a_study_that_goes_on_from_its_checkpoints() -> Outcome {
     let attempts = record["attempts"].as_array().ok_or("attempts")?;
     assert_eq!(attempts.len(), 2, "both are measured: {record}");
     assert!(attempts.iter().all(|a| a["failed"].is_null()), "{record}");
+    Ok(())
+}
+
+#[test]
+fn a_run_whose_laboratory_was_killed_is_left_alone_until_it_ends() -> Outcome {
+    let Some(program) = limpid("a killed laboratory") else {
+        return Ok(());
+    };
+    let bench = Bench::new(&program, &long_study())?;
+    let plan = bench.plan(&[])?;
+    let run = bench.run(&plan, "off", 1);
+    let one = || {
+        let mut command = Command::new(LAB);
+        let id = run.file_name().unwrap_or_default();
+        command.arg("one").arg(bench.script("runs.json")).arg(id);
+        command.stderr(Stdio::piped());
+        command
+    };
+    let mut lab = one().spawn()?;
+    wait_for(&run.join("config.json"))?;
+    lab.kill()?;
+    lab.wait()?;
+    let again = one().output()?;
+    assert!(!again.status.success(), "{}", said(&again));
+    assert!(
+        said(&again).contains("another process is at run"),
+        "{}",
+        said(&again)
+    );
+    wait_for(&run.join("metrics.json"))?;
     Ok(())
 }
 

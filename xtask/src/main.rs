@@ -186,12 +186,9 @@ fn train(args: &[OsString]) -> Command {
     command
 }
 
-/// Builds the program that trains, as `train` does, and starts the laboratory, which finds it beside itself. What only reads
-/// needs no program.
+/// Builds the program that trains, as `train` does, and starts the laboratory, which finds it beside itself.
 fn lab(args: &[OsString]) -> ExitCode {
-    let reads = ["gather", "one", "help", "--help", "-h"];
-    let first = args.first().and_then(|arg| arg.to_str());
-    if first.is_some_and(|first| !reads.contains(&first))
+    if lab_trains(args)
         && let Err(code) = wait(in_folder("build", "limpid"))
     {
         return code;
@@ -199,6 +196,17 @@ fn lab(args: &[OsString]) -> ExitCode {
     let mut command = in_folder("run", "limpid-lab");
     command.arg("--").args(args);
     become_command(command)
+}
+
+/// Whether the laboratory is asked for something that needs a program, and is not told which one.
+fn lab_trains(args: &[OsString]) -> bool {
+    let reads = ["gather", "one", "help", "--help", "-h"];
+    let first = args.first().and_then(|arg| arg.to_str());
+    let is_told = |arg: &OsString| {
+        arg.to_str()
+            .is_some_and(|arg| arg.split('=').next() == Some("--program"))
+    };
+    first.is_some_and(|first| !reads.contains(&first)) && !args.iter().any(is_told)
 }
 
 /// Cargo on a package, in the folder where the user is: a path in the arguments means what it means to the user's shell.
@@ -421,6 +429,24 @@ mod tests {
                 "cargo's arguments"
             );
         }
+    }
+
+    #[test]
+    fn the_laboratory_gets_a_program_where_it_needs_one() {
+        for (args, trains) in [
+            ("demo-study", true),
+            ("run quality --scenes s", true),
+            ("plan quality --engine slurm", true),
+            ("quality --program p", false),
+            ("quality --program=p", false),
+            ("gather quality", false),
+            ("--help", false),
+            ("", false),
+        ] {
+            assert_eq!(lab_trains(&words(args)), trains, "{args}");
+        }
+        let command = in_folder("build", "limpid");
+        assert_eq!(command.get_current_dir(), None, "where the user is");
     }
 
     #[test]
