@@ -62,10 +62,13 @@ pub fn run_all(
                     line.ended(index, outcome.as_ref().ok());
                     match outcome {
                         Ok(outcome) => {
+                            let is_news = outcome != Outcome::WasThere;
                             if let Some(text) = count(&mut tally, run, outcome) {
                                 line.aside(&say, &text);
                             }
-                            line.plain(&say, &tally);
+                            if is_news {
+                                line.plain(&say, &tally);
+                            }
                         }
                         Err(problem) => {
                             children.stop();

@@ -7,14 +7,17 @@ use crate::statistics::{Summary, pareto_front};
 use crate::study::Plot;
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::path::Path;
 
-/// Width of a panel, px.
-const WIDTH: u32 = 460;
+/// Width of a panel without the names beside it, px.
+const WIDTH: u32 = 420;
 /// Height of a panel with curves, px.
 const HEIGHT: u32 = 380;
 /// Height of a row where arms stand below each other, px.
 const ROW: u32 = 20;
+/// Width of a letter of a name there, px, hardly less than it takes.
+const LETTER: i32 = 7;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
@@ -55,11 +58,10 @@ fn panels<'a>(area: &Area<'a>, count: usize) -> Vec<Area<'a>> {
     area.split_evenly((count.div_ceil(2), count.min(2)))
 }
 
-fn size(count: usize, height: u32) -> (u32, u32) {
-    (
-        WIDTH * u32::from(count > 1).saturating_add(1),
-        height * u32::try_from(count.div_ceil(2)).unwrap_or(1),
-    )
+/// The size of so many panels, in two columns.
+fn size(count: usize, (width, height): (u32, u32)) -> (u32, u32) {
+    let lines = u32::try_from(count.div_ceil(2)).unwrap_or(1);
+    (width * (1 + u32::from(count > 1)), height * lines)
 }
 
 /// The lowest and the highest of values, with a margin.
@@ -79,7 +81,11 @@ fn with_error(s: &Summary) -> [f64; 3] {
 fn side_by_side(report: &Report, tables: &[&SceneTable], y: usize, path: &Path) -> Drawn {
     let most = tables.iter().map(|t| t.rows.len()).max().unwrap_or(1);
     let height = 70 + ROW * u32::try_from(most).unwrap_or(1);
-    let area = SVGBackend::new(path, size(tables.len(), height)).into_drawing_area();
+    let names = tables.iter().flat_map(|t| &t.rows);
+    let longest = names.map(|row| row.arm.chars().count()).max().unwrap_or(1);
+    let label = 16 + LETTER * i32::try_from(longest.min(60)).unwrap_or(60);
+    let width = WIDTH + label.unsigned_abs();
+    let area = SVGBackend::new(path, size(tables.len(), (width, height))).into_drawing_area();
     area.fill(&WHITE)?;
     for (panel, table) in panels(&area, tables.len()).iter().zip(tables) {
         let rows: Vec<&Row> = table.rows.iter().collect();
@@ -89,7 +95,7 @@ fn side_by_side(report: &Report, tables: &[&SceneTable], y: usize, path: &Path) 
         let mut chart = ChartBuilder::on(panel)
             .caption(&table.scene, ("sans-serif", 15))
             .margin(8)
-            .margin_left(150)
+            .margin_left(label)
             .x_label_area_size(32)
             .build_cartesian_2d(low..high, bottom..-0.5)?;
         chart
@@ -103,14 +109,10 @@ fn side_by_side(report: &Report, tables: &[&SceneTable], y: usize, path: &Path) 
         for (i, row) in rows.iter().enumerate() {
             let at = i as f64;
             let (_, pixel) = chart.backend_coord(&(low, at));
-            let (left, top) = panel.get_base_pixel();
+            let (_, top) = panel.get_base_pixel();
+            let place = (label - 8, pixel - top);
             let style = ("sans-serif", 12).into_font().color(&BLACK);
-            let place = (142, pixel - top);
-            let style = style.pos(plotters::style::text_anchor::Pos::new(
-                plotters::style::text_anchor::HPos::Right,
-                plotters::style::text_anchor::VPos::Center,
-            ));
-            debug_assert!(left >= 0, "panels lie in the picture");
+            let style = style.pos(Pos::new(HPos::Right, VPos::Center));
             panel.draw(&Text::new(row.arm.clone(), place, style))?;
             if let Some(s) = mean(row, y) {
                 let [less, middle, more] = with_error(&s);
@@ -137,7 +139,7 @@ fn curves(
             knobs.push(knob);
         }
     }
-    let (width, height) = size(tables.len(), HEIGHT);
+    let (width, height) = size(tables.len(), (WIDTH, HEIGHT));
     let area = SVGBackend::new(path, (width, height + 34 + 9 * knobs.len() as u32));
     let area = area.into_drawing_area();
     area.fill(&WHITE)?;

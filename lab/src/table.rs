@@ -240,12 +240,15 @@ mod tests {
             gain: summary(&[1.02, 0.98]),
             ..Cell::default()
         };
-        assert_eq!(text(&cost, &score("seconds")), "101 ± 1 (×1.00 ± 0.02)");
+        assert_eq!(text(&cost, &score("seconds")), "101.0 ± 1.0 (×1.00 ± 0.02)");
         let dear = Cell {
             gain: summary(&[2.0, 2.1]),
             ..cost
         };
-        assert_eq!(text(&dear, &score("seconds")), "101 ± 1 (**×2.05 ± 0.05**)");
+        assert_eq!(
+            text(&dear, &score("seconds")),
+            "101.0 ± 1.0 (**×2.05 ± 0.05**)"
+        );
         assert_eq!(text(&Cell::default(), &score("all")), "–");
         assert_eq!(
             text(
