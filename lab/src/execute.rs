@@ -38,27 +38,27 @@ pub struct Failed {
 
 /// What was measured of each time that a run was started; stands beside its folder.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Record {
+pub(crate) struct Record {
     /// In their order.
-    pub attempts: Vec<Attempt>,
+    pub(crate) attempts: Vec<Attempt>,
 }
 
 /// A process that trained, until its end.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Attempt {
+pub(crate) struct Attempt {
     /// When it began, seconds since 1970.
-    pub began: u64,
+    pub(crate) began: u64,
     /// Time on the clock, s.
-    pub wall_seconds: f64,
+    pub(crate) wall_seconds: f64,
     /// Processor time, s.
-    pub cpu_seconds: f64,
+    pub(crate) cpu_seconds: f64,
     /// Most memory that was in use at once, MiB.
-    pub peak_mib: Option<f64>,
+    pub(crate) peak_mib: Option<f64>,
     /// How it died; absent where it finished or was asked to end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub failed: Option<Failed>,
+    pub(crate) failed: Option<Failed>,
     /// Where.
-    pub machine: Machine,
+    pub(crate) machine: Machine,
 }
 
 impl Record {
@@ -66,7 +66,7 @@ impl Record {
     ///
     /// # Errors
     /// The file is there, and cannot be read or is no record.
-    pub fn read(run: &Path) -> Result<Self, LabError> {
+    pub(crate) fn read(run: &Path) -> Result<Self, LabError> {
         let path = beside(run, "json");
         match fs::read(&path) {
             Ok(text) => serde_json::from_slice(&text).map_err(|e| LabError::content(&path, e)),
@@ -76,8 +76,7 @@ impl Record {
     }
 
     /// All attempts together: a run that went on from a checkpoint took what they all took.
-    #[must_use]
-    pub fn measured(&self) -> Option<Measured> {
+    pub(crate) fn measured(&self) -> Option<Measured> {
         let last = self.attempts.last()?;
         let peaks = self.attempts.iter().filter_map(|a| a.peak_mib);
         Some(Measured {
@@ -94,8 +93,7 @@ fn beside(run: &Path, extension: &str) -> PathBuf {
 }
 
 /// Whether a run has its scores.
-#[must_use]
-pub fn is_finished(run: &Path) -> bool {
+pub(crate) fn is_finished(run: &Path) -> bool {
     run.join("metrics.json").exists()
 }
 
@@ -250,4 +248,126 @@ fn how(status: ExitStatus) -> String {
 fn now() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.map_or(0, |since| since.as_secs())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt;
+
+    /// A stand-in for the program, in shell, and a run of it.
+    fn stand_in(folder: &Path, script: &str) -> (PlannedRun, Program) {
+        let path = folder.join("program");
+        fs::write(&path, format!("#!/bin/sh\n{script}\n")).expect("a script");
+        fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("executable");
+        let out = folder.join("runs/aa");
+        let run = PlannedRun {
+            id: "aa".to_owned(),
+            scene: "s".to_owned(),
+            arms: vec!["off".to_owned()],
+            seed: 1,
+            iterations: 200,
+            arguments: vec!["train".to_owned(), out.to_string_lossy().into_owned()],
+            folder: out,
+            command: Vec::new(),
+        };
+        let program = Program {
+            path,
+            fingerprint: "f".to_owned(),
+            version: "v".to_owned(),
+            commit: None,
+            changed: false,
+        };
+        (run, program)
+    }
+
+    fn outcome(run: &PlannedRun, program: &Program) -> Outcome {
+        execute(run, program, &Children::default()).expect("files can be written")
+    }
+
+    #[test]
+    fn a_run_dies_goes_on_from_its_checkpoint_and_is_not_run_again() {
+        let folder = tempfile::tempdir().expect("a folder");
+        // Without a checkpoint it saves one and dies; with one it ends.
+        let (run, program) = stand_in(
+            folder.path(),
+            "echo \"threads $RAYON_NUM_THREADS: $*\" >&2\n\
+             if [ \"$2\" = --resume ]; then echo {} > \"$4/metrics.json\"; exit 0; fi\n\
+             mkdir -p \"$2/checkpoint\"; touch \"$2/checkpoint/state.safetensors\" \"$2/checkpoint/previous.safetensors\"\n\
+             echo 50/200 loss >&2; echo the last word >&2; exit 3",
+        );
+        let Outcome::Failed(failed) = outcome(&run, &program) else {
+            panic!("it exits with 3");
+        };
+        assert_eq!(failed.how, "exit code 3");
+        assert_eq!(
+            failed.last_lines.last().map(String::as_str),
+            Some("the last word")
+        );
+        assert!(
+            failed.last_lines[0].starts_with("threads 1: train"),
+            "{failed:?}"
+        );
+        assert_eq!(progress(&run), 50);
+
+        assert_eq!(outcome(&run, &program), Outcome::Finished);
+        assert!(!run.folder.join("checkpoint/previous.safetensors").exists());
+        assert!(run.folder.join("checkpoint/state.safetensors").exists());
+        let record = Record::read(&run.folder).expect("a record");
+        let [first, second] = &record.attempts[..] else {
+            panic!("two attempts: {record:?}");
+        };
+        assert!(first.failed.is_some() && second.failed.is_none());
+        let measured = record.measured().expect("measured");
+        assert!((measured.cpu_seconds - first.cpu_seconds - second.cpu_seconds).abs() < 1e-12);
+        assert!(measured.peak_mib >= first.peak_mib && measured.peak_mib >= second.peak_mib);
+
+        assert_eq!(outcome(&run, &program), Outcome::WasThere);
+        assert_eq!(
+            Record::read(&run.folder).expect("a record").attempts.len(),
+            2
+        );
+    }
+
+    #[test]
+    fn what_saved_nothing_starts_anew_and_what_ends_without_scores_has_failed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (run, program) = stand_in(
+            folder.path(),
+            "[ -e \"$2\" ] && exit 9\nmkdir -p \"$2\"; touch \"$2/config.json\"",
+        );
+        for _ in 0..2 {
+            let Outcome::Failed(failed) = outcome(&run, &program) else {
+                panic!("there are no scores");
+            };
+            assert_eq!(
+                failed.how, "exit code 0",
+                "the folder was taken away before"
+            );
+        }
+    }
+
+    #[test]
+    fn nothing_is_started_once_all_was_ended_and_two_do_not_share_a_run() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (run, program) = stand_in(folder.path(), "exec sleep 60");
+        let children = Children::default();
+        std::thread::scope(|scope| {
+            let first = scope.spawn(|| execute(&run, &program, &children));
+            let lock = beside(&run.folder, "lock");
+            while fs::read_to_string(&lock).unwrap_or_default().is_empty() {
+                std::thread::yield_now();
+            }
+            assert_eq!(outcome(&run, &program), Outcome::Elsewhere);
+            children.stop();
+            let first = first.join().expect("no panic").expect("an outcome");
+            assert_eq!(first, Outcome::Stopped);
+        });
+        let again = execute(&run, &program, &children).expect("an outcome");
+        assert_eq!(again, Outcome::Stopped, "no process was started");
+        assert_eq!(
+            Record::read(&run.folder).expect("a record").attempts.len(),
+            1
+        );
+    }
 }

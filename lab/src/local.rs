@@ -124,8 +124,7 @@ fn count(tally: &mut Tally, run: &PlannedRun, outcome: Outcome) -> Option<String
 }
 
 /// A run in the study's words.
-#[must_use]
-pub fn describe(run: &PlannedRun) -> String {
+fn describe(run: &PlannedRun) -> String {
     let PlannedRun {
         id,
         scene,
@@ -206,9 +205,13 @@ impl<'a> Line<'a> {
     fn message(&self, tally: &Tally) -> (usize, String) {
         let (done, here) = self.done();
         let all: usize = self.plan.runs.iter().map(|run| run.iterations).sum();
-        let left = time_left(self.began.elapsed(), here, all.saturating_sub(done));
         let runs = self.plan.runs.len();
         let ended = runs - tally.left;
+        let left = if tally.left == 0 {
+            "done".to_owned()
+        } else {
+            time_left(self.began.elapsed(), here, all.saturating_sub(done))
+        };
         let failed = match tally.failed.len() {
             0 => String::new(),
             n => format!(" ({n} failed)"),
@@ -237,13 +240,10 @@ impl<'a> Line<'a> {
 
 /// How long the rest takes at the pace so far.
 fn time_left(elapsed: Duration, done: usize, left: usize) -> String {
-    if left == 0 {
-        return "done".to_owned();
-    }
-    if done == 0 {
+    if done == 0 && left > 0 {
         return "time left not known yet".to_owned();
     }
-    let seconds = elapsed.as_secs_f64() * left as f64 / done as f64;
+    let seconds = elapsed.as_secs_f64() * left as f64 / done.max(1) as f64;
     let minutes = (seconds / 60.0).round() as u64;
     match (minutes / 60, minutes % 60) {
         (0, 0) => "less than a minute left".to_owned(),
@@ -261,7 +261,9 @@ mod tests {
         let minute = Duration::from_secs(60);
         for (done, left, expected) in [
             (0, 100, "time left not known yet"),
-            (100, 0, "done"),
+            // Pictures and scores are still being written.
+            (100, 0, "less than a minute left"),
+            (0, 0, "less than a minute left"),
             (100, 10, "less than a minute left"),
             (100, 300, "3 min left"),
             (100, 12_500, "2 h 5 min left"),

@@ -141,8 +141,16 @@ impl Asked {
             path
         };
         let name = path.file_stem().unwrap_or_default();
+        let name = name.to_string_lossy().into_owned();
+        if Places::OURS.contains(&&*name) {
+            let problem = format!(
+                "a study cannot be called `{name}`: {} is taken",
+                out.join(&name).display()
+            );
+            return Err(LabError::Asked(problem));
+        }
         Ok(Self {
-            name: name.to_string_lossy().into_owned(),
+            name,
             study: Study::read(&path)?,
             path,
             places: Places {
@@ -170,7 +178,7 @@ impl StudyArguments {
         let scenes = Scenes {
             demo: root().join("demo"),
             folder: self.scenes.clone(),
-            links: places.out.join("scenes"),
+            links: places.links(),
         };
         let plan = Plan::new(asked.parts(), program, &scenes, places, &this)?;
         let file = places.plan(&asked.name);

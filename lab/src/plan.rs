@@ -68,10 +68,24 @@ pub struct Places {
 }
 
 impl Places {
+    /// Names that no study can have.
+    pub const OURS: [&str; 3] = ["runs", "programs", "scenes"];
+
     /// All runs, of all studies: what two of them ask for is run once.
     #[must_use]
     pub fn runs(&self) -> PathBuf {
         self.out.join("runs")
+    }
+
+    /// Copies of programs.
+    fn programs(&self) -> PathBuf {
+        self.out.join("programs")
+    }
+
+    /// Scenes in which something is as in truth.
+    #[must_use]
+    pub fn links(&self) -> PathBuf {
+        self.out.join("scenes")
     }
 
     /// What belongs to a study alone.
@@ -100,7 +114,7 @@ impl Program {
     ) -> Result<Self, LabError> {
         let bytes = fs::read(program).map_err(LabError::file(program))?;
         let fingerprint = hex(&Sha256::digest(&bytes)[..8]);
-        let folder = places.out.join("programs");
+        let folder = places.programs();
         fs::create_dir_all(&folder).map_err(LabError::file(&folder))?;
         let folder = fs::canonicalize(&folder).map_err(LabError::file(&folder))?;
         let suffix = std::env::consts::EXE_SUFFIX;

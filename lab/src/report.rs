@@ -342,4 +342,143 @@ mod tests {
         assert_eq!(closed(&to, &to, &from), None, "the wrong way");
         assert_eq!(closed(&to, &from, &BTreeMap::new()), None, "no bound yet");
     }
+
+    const STUDY: &str = r#"
+title = "T"
+about = "A."
+scenes = ["a", "b"]
+seeds = [1, 2]
+baseline = "off"
+bound = "bound"
+score = ["all", "cpu"]
+set.iterations = 200
+[[variants]]
+name = "off"
+set.x = 0
+[[variants]]
+name = "on"
+set.x = 1
+[[variants]]
+name = "bound"
+set.x = 2
+except = ["b"]
+"#;
+
+    /// A run's results, or the record of one that died.
+    fn write(places: &Places, case: &Case, all: Option<f64>) {
+        let folder = places.runs().join(&case.run.id);
+        fs::create_dir_all(&folder).expect("a folder");
+        let attempt = |failed| crate::execute::Attempt {
+            began: 86_400 * case.seed,
+            wall_seconds: 3.0,
+            cpu_seconds: 2.0,
+            peak_mib: Some(100.0),
+            failed,
+            machine: Machine {
+                processor: "a chip".to_owned(),
+                cores: 4,
+            },
+        };
+        let how = |how: &str| Failed {
+            how: how.to_owned(),
+            last_lines: vec!["it was".to_owned(), "the end".to_owned()],
+        };
+        let mut attempts = vec![attempt(Some(how("exit code 1")))];
+        if let Some(all) = all {
+            attempts.push(attempt(None));
+            let metrics = format!("{{\"test\": {{\"mpsnr\": {all}}}}}");
+            fs::write(folder.join("metrics.json"), metrics).expect("written");
+        }
+        let record = Record { attempts };
+        let text = serde_json::to_string(&record).expect("JSON");
+        fs::write(folder.with_extension("json"), text).expect("written");
+    }
+
+    #[test]
+    fn what_is_there_is_gathered_half_way_too() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let places = Places {
+            out: folder.path().to_owned(),
+        };
+        let path = Path::new("s.toml");
+        let study = Study::parse(STUDY, path).expect("a study");
+        let program = Program {
+            path: "limpid".into(),
+            fingerprint: "f".to_owned(),
+            version: "limpid 0".to_owned(),
+            commit: Some("abc".to_owned()),
+            changed: false,
+        };
+        let report = || gather(("s", &study, path), &program, &places).expect("a report");
+        let nothing = report();
+        assert_eq!((nothing.planned, nothing.finished), (10, 0));
+        assert!(nothing.dates.is_none() && nothing.failed.is_empty());
+        assert!(crate::table::markdown(&nothing, None).contains("**0 of 10 runs are finished.**"));
+
+        for case in cases(&study, path, "f").expect("cases") {
+            let all = match (&*case.scene, &*case.arm, case.seed) {
+                ("a", "off", seed) => Some(20.0 + seed as f64),
+                ("a", "on", seed) => Some(25.0 + 2.0 * seed as f64),
+                ("a", "bound", seed) => Some(30.0 + seed as f64),
+                ("b", "off", 1) => Some(30.0),
+                ("b", "on", 1) => Some(29.0),
+                ("b", "on", 2) => None,
+                _ => continue,
+            };
+            write(&places, &case, all);
+        }
+        let found = report();
+        assert_eq!((found.planned, found.finished), (10, 8));
+        let days = ["1970-01-02", "1970-01-03"].map(str::to_owned);
+        assert_eq!(found.dates, Some(days.into()));
+        assert_eq!(found.machines.len(), 1);
+        let [died] = &found.failed[..] else {
+            panic!("one died: {:?}", found.failed);
+        };
+        assert_eq!((&*died.scene, &*died.arm, died.seed), ("b", "on", 2));
+
+        // Gains of 6 and 7 of 10 on `a`, of -1 on `b`, where nothing bounds.
+        let row = |scene: usize, arm: &str| {
+            let rows = &found.scenes[scene].rows;
+            rows.iter().find(|row| row.arm == arm).expect("a row")
+        };
+        let on = &row(0, "on").cells[0];
+        let gain = on.gain.expect("two pairs");
+        assert!(
+            (gain.mean - 6.5).abs() < 1e-12
+                && (gain.standard_error.expect("two") - 0.5).abs() < 1e-12
+        );
+        assert!((on.closed.expect("a way").mean - 0.65).abs() < 1e-12);
+        assert_eq!(row(1, "on").cells[0].closed, None);
+        assert_eq!(row(1, "on").runs, 1);
+        assert!(found.scenes[1].rows.iter().all(|row| row.arm != "bound"));
+        assert_eq!(
+            row(0, "off").cells[1].mean.expect("measured").mean,
+            4.0,
+            "both attempts"
+        );
+        let over = found
+            .overall
+            .iter()
+            .find(|row| row.arm == "on")
+            .expect("a row");
+        let gain = over.cells[0].gain.expect("two scenes");
+        assert!((gain.mean - 2.75).abs() < 1e-12, "{gain:?}");
+        assert_eq!(gain.standard_error, None, "of one scene nothing is known");
+
+        let table = crate::table::markdown(&found, Some("s.svg"));
+        for part in [
+            "**8 of 10 runs are finished, and 1 died.**",
+            "limpid 0, commit `abc`, 1970-01-02 to 1970-01-03, on a chip, 4 cores; one thread a run.",
+            "| on | 2 | 28.00 ± 1.00 (**+6.50 ± 0.50**; 65 %) | 4.0 ± 0.0 (×1.00 ± 0.00) |",
+            "| on | 1 | 29.00 (-1.00) | 4.0 (×1.00) |",
+            "| on | 2 | +2.75; 65 % | ×1.00 |",
+            "![T](s.svg)",
+            "- `b`, on, seed 2",
+            "exit code 1: the end",
+        ] {
+            assert!(table.contains(part), "{part}: {table}");
+        }
+        assert!(!table.contains("\n\n\n"), "one empty line at most: {table}");
+    }
 }

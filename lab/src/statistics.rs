@@ -56,8 +56,7 @@ impl Summary {
 
 /// Which points (cost, quality) nothing beats: no other has as little cost and more quality, or less cost and as much quality. In order
 /// of their cost.
-#[must_use]
-pub fn pareto_front(points: &[(f64, f64)]) -> Vec<usize> {
+pub(crate) fn pareto_front(points: &[(f64, f64)]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|&a, &b| {
         let (a, b) = (points[a], points[b]);
