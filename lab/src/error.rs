@@ -48,7 +48,7 @@ fn named(key: &str) -> String {
 
 impl LabError {
     /// For `map_err` of what was done with a file.
-    pub(crate) fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
+    pub fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::File { path, source }
     }

@@ -138,14 +138,13 @@ pub fn execute(
     let mut record = Record::read(folder)?;
     let log = beside(folder, "log");
     let mut command = Command::new(&program.path);
+    command.args(&run.arguments);
     if has_checkpoint(folder) {
-        command.args(["train", "--resume", "--out"]).arg(folder);
-    } else {
+        // With all arguments: the program refuses a checkpoint that is of another run.
+        command.arg("--resume");
+    } else if folder.exists() {
         // What was begun and saved nothing.
-        if folder.exists() {
-            fs::remove_dir_all(folder).map_err(LabError::file(folder))?;
-        }
-        command.args(&run.arguments);
+        fs::remove_dir_all(folder).map_err(LabError::file(folder))?;
     }
     let said = File::options().create(true).append(true).open(&log);
     let said = said.map_err(LabError::file(&log))?;
@@ -292,7 +291,7 @@ mod tests {
         let (run, program) = stand_in(
             folder.path(),
             "echo \"threads $RAYON_NUM_THREADS: $*\" >&2\n\
-             if [ \"$2\" = --resume ]; then echo {} > \"$4/metrics.json\"; exit 0; fi\n\
+             if [ \"$3\" = --resume ]; then echo {} > \"$2/metrics.json\"; exit 0; fi\n\
              mkdir -p \"$2/checkpoint\"; touch \"$2/checkpoint/state.safetensors\" \"$2/checkpoint/previous.safetensors\"\n\
              echo 50/200 loss >&2; echo the last word >&2; exit 3",
         );

@@ -277,11 +277,7 @@ fn write_report(asked: &Asked, to: &Path) -> Result<(), LabError> {
     let name = &asked.name;
     let plan = Plan::read(&asked.places.plan(name))?;
     let report = gather(asked.parts(), &plan.program, &asked.places)?;
-    let file = |path: &Path, source| LabError::File {
-        path: path.to_owned(),
-        source,
-    };
-    std::fs::create_dir_all(to).map_err(|e| file(to, e))?;
+    std::fs::create_dir_all(to).map_err(LabError::file(to))?;
     let [table, json, picture] = ["md", "json", "svg"].map(|end| to.join(format!("{name}.{end}")));
     let is_drawn = match &asked.study.plot {
         Some(plot) => draw(&report, plot, &picture)?,
@@ -289,10 +285,10 @@ fn write_report(asked: &Asked, to: &Path) -> Result<(), LabError> {
     };
     let picture_name = format!("{name}.svg");
     let text = markdown(&report, is_drawn.then_some(&*picture_name));
-    std::fs::write(&table, text).map_err(|e| file(&table, e))?;
+    std::fs::write(&table, text).map_err(LabError::file(&table))?;
     let text = serde_json::to_string_pretty(&report);
     let text = text.map_err(|e| LabError::Asked(format!("the report is no JSON: {e}")))?;
-    std::fs::write(&json, text + "\n").map_err(|e| file(&json, e))?;
+    std::fs::write(&json, text + "\n").map_err(LabError::file(&json))?;
     say(&format!(
         "{} of {} runs: {}",
         report.finished,
