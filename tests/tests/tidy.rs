@@ -7,7 +7,7 @@ use std::process::Command;
 use toml::{Table, Value};
 
 /// Every crate of the workspace and the crates of ours that it may depend on.
-const ARROWS: [(&str, &[&str]); 13] = [
+const ARROWS: [(&str, &[&str]); 14] = [
     ("property", &[]),
     ("host", &[]),
     ("splat-core", &["host"]),
@@ -47,11 +47,12 @@ const ARROWS: [(&str, &[&str]); 13] = [
         "limpid-bench",
         &["host", "splat-core", "bpnet", "io", "trainer"],
     ),
+    ("limpid-lab", &[]),
     ("xtask", &[]),
 ];
 
 /// Crates that know nothing of Burn, not even through another crate's feature.
-const WITHOUT_BURN: [&str; 4] = ["unseen-views", "io", "property", "xtask"];
+const WITHOUT_BURN: [&str; 5] = ["unseen-views", "io", "property", "limpid-lab", "xtask"];
 
 /// Crates that neither touch files nor log nor look at a clock.
 const SILENT: [&str; 5] = [
@@ -86,7 +87,7 @@ fn members() -> BTreeMap<String, PathBuf> {
         .map(|entry| entry.expect("an entry of crates/").path())
         .filter(|path| path.is_dir())
         .collect();
-    folders.extend(["bench", "tests", "xtask"].map(|folder| root.join(folder)));
+    folders.extend(["bench", "lab", "tests", "xtask"].map(|folder| root.join(folder)));
     folders
         .into_iter()
         .map(|folder| {
@@ -312,6 +313,7 @@ fn sources_are_finished_and_name_no_machine() {
     let mut files: Vec<PathBuf> = [
         "bench",
         "crates",
+        "lab",
         "tests",
         "xtask",
         ".cargo",

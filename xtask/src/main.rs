@@ -20,6 +20,9 @@ cargo xtask COMMAND
                  grow; writes tables, JSON and plots to out/bench/; with --backend wgpu
                  or cuda, times a GPU and writes gpu.json
                  (cargo xtask bench --help lists the arguments)
+  lab STUDY      run a study of lab/studies/ (many trainings, each once) and make its
+                 tables and plot; plan, run and gather do that one at a time
+                 (cargo xtask lab --help lists the arguments)
   numerics       measure f32 against f64 and write docs/NUMERICS.md
   bless          train the golden picture of the tests again, and keep it
   fmt            check the formatting
@@ -142,6 +145,7 @@ fn main() -> ExitCode {
     match command.as_deref().and_then(OsStr::to_str) {
         Some("train") => become_command(train(&rest)),
         Some("bench") => bench(&rest),
+        Some("lab") => lab(&rest),
         Some("numerics") => become_command(cargo_in_root(&NUMERICS)),
         Some("bless") => {
             let mut golden = cargo_in_root(&BLESS);
@@ -161,15 +165,9 @@ fn main() -> ExitCode {
     }
 }
 
-/// The command that trains with `args`.
-///
-/// A path in `args` means what it means to the user's shell: the folder stays as it is. Without a
-/// scene of their own, arguments are about the demo.
+/// The command that trains with `args`. Without a scene of their own, arguments are about the demo.
 fn train(args: &[OsString]) -> Command {
-    let mut command = cargo();
-    command.arg("run").arg("--manifest-path");
-    command.arg(root().join("Cargo.toml"));
-    command.args(["--package", "limpid"]);
+    let mut command = in_folder("run", "limpid");
     if let Some(backend) = backend_feature(args) {
         command.args(["--features", backend]);
     }
@@ -185,6 +183,38 @@ fn train(args: &[OsString]) -> Command {
         command.arg("--config").arg(root().join("demo/limpid.toml"));
     }
     command.args(args);
+    command
+}
+
+/// Builds the program that trains, as `train` does, and starts the laboratory, which finds it beside itself.
+fn lab(args: &[OsString]) -> ExitCode {
+    if lab_trains(args)
+        && let Err(code) = wait(in_folder("build", "limpid"))
+    {
+        return code;
+    }
+    let mut command = in_folder("run", "limpid-lab");
+    command.arg("--").args(args);
+    become_command(command)
+}
+
+/// Whether the laboratory is asked for something that needs a program, and is not told which one.
+fn lab_trains(args: &[OsString]) -> bool {
+    let reads = ["gather", "one", "help", "--help", "-h"];
+    let first = args.first().and_then(|arg| arg.to_str());
+    let is_told = |arg: &OsString| {
+        arg.to_str()
+            .is_some_and(|arg| arg.split('=').next() == Some("--program"))
+    };
+    first.is_some_and(|first| !reads.contains(&first)) && !args.iter().any(is_told)
+}
+
+/// Cargo on a package, in the folder where the user is: a path in the arguments means what it means to the user's shell.
+fn in_folder(what: &str, package: &str) -> Command {
+    let mut command = cargo();
+    command.arg(what).arg("--manifest-path");
+    command.arg(root().join("Cargo.toml"));
+    command.args(["--package", package]);
     command
 }
 
@@ -399,6 +429,24 @@ mod tests {
                 "cargo's arguments"
             );
         }
+    }
+
+    #[test]
+    fn the_laboratory_gets_a_program_where_it_needs_one() {
+        for (args, trains) in [
+            ("demo-study", true),
+            ("run quality --scenes s", true),
+            ("plan quality --engine slurm", true),
+            ("quality --program p", false),
+            ("quality --program=p", false),
+            ("gather quality", false),
+            ("--help", false),
+            ("", false),
+        ] {
+            assert_eq!(lab_trains(&words(args)), trains, "{args}");
+        }
+        let command = in_folder("build", "limpid");
+        assert_eq!(command.get_current_dir(), None, "where the user is");
     }
 
     #[test]

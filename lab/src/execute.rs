@@ -1,0 +1,372 @@
+//! One run, from where it stands to its end.
+
+use crate::children::Children;
+use crate::error::LabError;
+use crate::machine::Machine;
+use crate::plan::{PlannedRun, Program, write_json};
+use crate::score::Measured;
+use serde::{Deserialize, Serialize};
+use std::fs::{self, File, TryLockError};
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+/// What became of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// It has its scores.
+    Finished,
+    /// It had them already.
+    WasThere,
+    /// It was ended, and can go on.
+    Stopped,
+    /// Another process is at it.
+    Elsewhere,
+    /// It died.
+    Failed(Failed),
+}
+
+/// A run that died.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Failed {
+    /// How it ended.
+    pub how: String,
+    /// The last lines that it said.
+    pub last_lines: Vec<String>,
+}
+
+/// What was measured of each time that a run was started; stands beside its folder.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Record {
+    /// In their order.
+    pub(crate) attempts: Vec<Attempt>,
+}
+
+/// A process that trained, until its end.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Attempt {
+    /// When it began, seconds since 1970.
+    pub(crate) began: u64,
+    /// Time on the clock, s.
+    pub(crate) wall_seconds: f64,
+    /// Processor time, s.
+    pub(crate) cpu_seconds: f64,
+    /// Most memory that was in use at once, MiB.
+    pub(crate) peak_mib: Option<f64>,
+    /// How it died; absent where it finished or was asked to end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) failed: Option<Failed>,
+    /// Where.
+    pub(crate) machine: Machine,
+}
+
+impl Record {
+    /// The record of a run; an empty one where none was kept.
+    ///
+    /// # Errors
+    /// The file is there, and cannot be read or is no record.
+    pub(crate) fn read(run: &Path) -> Result<Self, LabError> {
+        let path = beside(run, "json");
+        match fs::read(&path) {
+            Ok(text) => serde_json::from_slice(&text).map_err(|e| LabError::content(&path, e)),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Self::default()),
+            Err(e) => Err(LabError::file(&path)(e)),
+        }
+    }
+
+    /// All attempts together: a run that went on from a checkpoint took what they all took.
+    pub(crate) fn measured(&self) -> Option<Measured> {
+        let last = self.attempts.last()?;
+        let peaks = self.attempts.iter().filter_map(|a| a.peak_mib);
+        Some(Measured {
+            cpu_seconds: self.attempts.iter().map(|a| a.cpu_seconds).sum(),
+            wall_seconds: self.attempts.iter().map(|a| a.wall_seconds).sum(),
+            peak_mib: last.peak_mib.map(|last| peaks.fold(last, f64::max)),
+        })
+    }
+}
+
+/// A file beside a run's folder.
+fn beside(run: &Path, extension: &str) -> PathBuf {
+    run.with_extension(extension)
+}
+
+/// Whether a run has its scores.
+pub(crate) fn is_finished(run: &Path) -> bool {
+    run.join("metrics.json").exists()
+}
+
+fn has_checkpoint(run: &Path) -> bool {
+    let files = ["state.safetensors", PREVIOUS_CHECKPOINT];
+    files
+        .iter()
+        .any(|file| run.join("checkpoint").join(file).exists())
+}
+
+/// The checkpoint before the last, which a finished run does without.
+const PREVIOUS_CHECKPOINT: &str = "previous.safetensors";
+
+/// Trains a run to its end, from its checkpoint where it has one.
+///
+/// # Errors
+/// Files of the laboratory cannot be written, or the program cannot be started.
+pub fn execute(
+    run: &PlannedRun,
+    program: &Program,
+    children: &Children,
+) -> Result<Outcome, LabError> {
+    let folder = &run.folder;
+    if let Some(runs) = folder.parent() {
+        fs::create_dir_all(runs).map_err(LabError::file(runs))?;
+    }
+    let path = beside(folder, "lock");
+    let lock = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(&path);
+    let mut lock = lock.map_err(LabError::file(&path))?;
+    match lock.try_lock() {
+        // Some file systems have no locks; the program has one of its own in its folder.
+        Ok(()) | Err(TryLockError::Error(_)) => {}
+        Err(TryLockError::WouldBlock) => return Ok(Outcome::Elsewhere),
+    }
+    if is_finished(folder) {
+        return Ok(Outcome::WasThere);
+    }
+    let mut record = Record::read(folder)?;
+    let log = beside(folder, "log");
+    let mut command = Command::new(&program.path);
+    command.args(&run.arguments);
+    if has_checkpoint(folder) {
+        // With all arguments: the program refuses a checkpoint that is of another run.
+        command.arg("--resume");
+    } else if folder.exists() {
+        // What was begun and saved nothing.
+        fs::remove_dir_all(folder).map_err(LabError::file(folder))?;
+    }
+    let said = File::options().create(true).append(true).open(&log);
+    let said = said.map_err(LabError::file(&log))?;
+    let from = said.metadata().map_err(LabError::file(&log))?.len();
+    // The lock stays as long as the process lives, even where this one does not.
+    command.stdin(lock.try_clone().map_err(LabError::file(&path))?);
+    command.stdout(said.try_clone().map_err(LabError::file(&log))?);
+    command.stderr(said);
+    // Runs go side by side, and a thread each is the most that all of them together can use.
+    command.env("RAYON_NUM_THREADS", "1");
+
+    let (began, clock) = (now(), Instant::now());
+    let ended = children.run(&mut command, |process| {
+        // For who wants to look at it or to end it; nothing depends on it.
+        lock.set_len(0)
+            .and_then(|()| writeln!(lock, "{process}"))
+            .ok();
+    });
+    let Some(ended) = ended.map_err(LabError::file(&program.path))? else {
+        return Ok(Outcome::Stopped);
+    };
+    let outcome = if ended.status.success() && is_finished(folder) {
+        Outcome::Finished
+    } else if children.are_stopped() {
+        Outcome::Stopped
+    } else {
+        Outcome::Failed(Failed {
+            how: how(ended.status),
+            last_lines: tail(&log, from, 12),
+        })
+    };
+    let usage = ended.rusage;
+    record.attempts.push(Attempt {
+        began,
+        wall_seconds: clock.elapsed().as_secs_f64(),
+        cpu_seconds: (usage.utime + usage.stime).as_secs_f64(),
+        peak_mib: (usage.maxrss > 0).then(|| usage.maxrss as f64 / f64::from(1 << 20)),
+        failed: match &outcome {
+            Outcome::Failed(failed) => Some(failed.clone()),
+            _ => None,
+        },
+        machine: Machine::here(),
+    });
+    write_json(&beside(folder, "json"), &record)?;
+    if outcome == Outcome::Finished {
+        let previous = folder.join("checkpoint").join(PREVIOUS_CHECKPOINT);
+        // A study has hundreds of runs; where it stays it is only untidy.
+        fs::remove_file(previous).ok();
+    }
+    Ok(outcome)
+}
+
+/// How many iterations of a run are done, as far as it has said.
+pub(crate) fn progress(run: &PlannedRun) -> usize {
+    let said = tail(&beside(&run.folder, "log"), 0, 6);
+    let done = said.iter().rev().find_map(|line| {
+        let (done, rest) = line.split_once('/')?;
+        let total = rest.split(' ').next()?;
+        (total.parse::<usize>().ok()? == run.iterations).then(|| done.parse().ok())?
+    });
+    done.unwrap_or(0)
+}
+
+/// The last lines of a file from a place on; none where it cannot be read.
+fn tail(path: &Path, from: u64, lines: usize) -> Vec<String> {
+    const MOST: u64 = 8192;
+    let read = || -> std::io::Result<Vec<u8>> {
+        let mut file = File::open(path)?;
+        let length = file.metadata()?.len();
+        file.seek(SeekFrom::Start(from.max(length.saturating_sub(MOST))))?;
+        let mut bytes = Vec::new();
+        file.take(MOST).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    let bytes = read().unwrap_or_default();
+    let text = String::from_utf8_lossy(&bytes);
+    let all: Vec<&str> = text.lines().collect();
+    let last = &all[all.len().saturating_sub(lines)..];
+    last.iter().map(|line| (*line).to_owned()).collect()
+}
+
+#[cfg(unix)]
+fn how(status: ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt as _;
+    match status.signal() {
+        Some(signal) => format!("killed by signal {signal}"),
+        None => format!("exit code {}", status.code().unwrap_or(-1)),
+    }
+}
+
+#[cfg(not(unix))]
+fn how(status: ExitStatus) -> String {
+    format!("exit code {}", status.code().unwrap_or(-1))
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the report says when runs were made; no result depends on it"
+)]
+fn now() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| since.as_secs())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt;
+
+    /// A stand-in for the program, in shell, and a run of it.
+    fn stand_in(folder: &Path, script: &str) -> (PlannedRun, Program) {
+        let path = folder.join("program");
+        fs::write(&path, format!("#!/bin/sh\n{script}\n")).expect("a script");
+        fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("executable");
+        let out = folder.join("runs/aa");
+        let run = PlannedRun {
+            id: "aa".to_owned(),
+            scene: "s".to_owned(),
+            arms: vec!["off".to_owned()],
+            seed: 1,
+            iterations: 200,
+            arguments: vec!["train".to_owned(), out.to_string_lossy().into_owned()],
+            folder: out,
+            command: Vec::new(),
+        };
+        let program = Program {
+            path,
+            fingerprint: "f".to_owned(),
+            version: "v".to_owned(),
+            commit: None,
+            changed: false,
+        };
+        (run, program)
+    }
+
+    fn outcome(run: &PlannedRun, program: &Program) -> Outcome {
+        execute(run, program, &Children::default()).expect("files can be written")
+    }
+
+    #[test]
+    fn a_run_dies_goes_on_from_its_checkpoint_and_is_not_run_again() {
+        let folder = tempfile::tempdir().expect("a folder");
+        // Without a checkpoint it saves one and dies; with one it ends.
+        let (run, program) = stand_in(
+            folder.path(),
+            "echo \"threads $RAYON_NUM_THREADS: $*\" >&2\n\
+             if [ \"$3\" = --resume ]; then echo {} > \"$2/metrics.json\"; exit 0; fi\n\
+             mkdir -p \"$2/checkpoint\"; touch \"$2/checkpoint/state.safetensors\" \"$2/checkpoint/previous.safetensors\"\n\
+             echo 50/200 loss >&2; echo the last word >&2; exit 3",
+        );
+        let Outcome::Failed(failed) = outcome(&run, &program) else {
+            panic!("it exits with 3");
+        };
+        assert_eq!(failed.how, "exit code 3");
+        assert_eq!(
+            failed.last_lines.last().map(String::as_str),
+            Some("the last word")
+        );
+        assert!(
+            failed.last_lines[0].starts_with("threads 1: train"),
+            "{failed:?}"
+        );
+        assert_eq!(progress(&run), 50);
+
+        assert_eq!(outcome(&run, &program), Outcome::Finished);
+        assert!(!run.folder.join("checkpoint/previous.safetensors").exists());
+        assert!(run.folder.join("checkpoint/state.safetensors").exists());
+        let record = Record::read(&run.folder).expect("a record");
+        let [first, second] = &record.attempts[..] else {
+            panic!("two attempts: {record:?}");
+        };
+        assert!(first.failed.is_some() && second.failed.is_none());
+        let measured = record.measured().expect("measured");
+        assert!((measured.cpu_seconds - first.cpu_seconds - second.cpu_seconds).abs() < 1e-12);
+        assert!(measured.peak_mib >= first.peak_mib && measured.peak_mib >= second.peak_mib);
+
+        assert_eq!(outcome(&run, &program), Outcome::WasThere);
+        assert_eq!(
+            Record::read(&run.folder).expect("a record").attempts.len(),
+            2
+        );
+    }
+
+    #[test]
+    fn what_saved_nothing_starts_anew_and_what_ends_without_scores_has_failed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (run, program) = stand_in(
+            folder.path(),
+            "[ -e \"$2\" ] && exit 9\nmkdir -p \"$2\"; touch \"$2/config.json\"",
+        );
+        for _ in 0..2 {
+            let Outcome::Failed(failed) = outcome(&run, &program) else {
+                panic!("there are no scores");
+            };
+            assert_eq!(
+                failed.how, "exit code 0",
+                "the folder was taken away before"
+            );
+        }
+    }
+
+    #[test]
+    fn nothing_is_started_once_all_was_ended_and_two_do_not_share_a_run() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (run, program) = stand_in(folder.path(), "exec sleep 60");
+        let children = Children::default();
+        std::thread::scope(|scope| {
+            let first = scope.spawn(|| execute(&run, &program, &children));
+            let lock = beside(&run.folder, "lock");
+            while fs::read_to_string(&lock).unwrap_or_default().is_empty() {
+                std::thread::yield_now();
+            }
+            assert_eq!(outcome(&run, &program), Outcome::Elsewhere);
+            children.stop();
+            let first = first.join().expect("no panic").expect("an outcome");
+            assert_eq!(first, Outcome::Stopped);
+        });
+        let again = execute(&run, &program, &children).expect("an outcome");
+        assert_eq!(again, Outcome::Stopped, "no process was started");
+        assert_eq!(
+            Record::read(&run.folder).expect("a record").attempts.len(),
+            1
+        );
+    }
+}

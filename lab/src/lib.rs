@@ -1,0 +1,39 @@
+//! The laboratory: studies of what every choice costs and gains, over scenes and seeds.
+//!
+//! A [`Study`] is a TOML file. It expands to [`Case`]s, each an ordinary `limpid train` whose folder is named by a hash of what
+//! determines its result, so that nothing is run twice. A [`Plan`] holds them with a command each, for any scheduler;
+//! [`run_all`] is the one for this machine. [`gather`] makes a [`Report`] of what is there, finished or not.
+//!
+//! It knows no Burn and nothing of training: the program `limpid` is started, and its `metrics.json` read.
+
+mod children;
+mod engines;
+mod error;
+mod execute;
+mod expand;
+mod local;
+mod machine;
+mod plan;
+mod plot;
+mod report;
+mod scenes;
+mod score;
+mod statistics;
+mod study;
+mod table;
+
+pub use children::Children;
+pub use engines::Engine;
+pub use error::LabError;
+pub use execute::{Failed, Outcome, execute};
+pub use expand::{Arm, Case, Run, arms, cases};
+pub use local::{Tally, failure, run_all};
+pub use machine::Machine;
+pub use plan::{Places, Plan, PlannedRun, Program};
+pub use plot::draw;
+pub use report::{Cell, FailedRun, Report, Row, SceneTable, gather};
+pub use scenes::Scenes;
+pub use score::{Kind, Measured, Score};
+pub use statistics::Summary;
+pub use study::{BASELINE, Knob, Plot, Study, Truth, Variant};
+pub use table::markdown;

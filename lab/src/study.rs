@@ -1,0 +1,278 @@
+//! A study's file.
+
+use crate::error::LabError;
+use crate::score::Score;
+use serde::Deserialize;
+use std::collections::BTreeSet;
+use std::path::Path;
+use toml::{Table, Value};
+
+/// Name of the variant that has the common settings and nothing else.
+pub const BASELINE: &str = "baseline";
+
+/// What is to be found out: scenes, seeds, what is varied, and what is scored.
+///
+/// Every scene is trained with every variant and every point of the knobs, once for each seed.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Study {
+    /// Heading of the report.
+    pub title: String,
+    /// What is asked, in a few sentences; stands in the report.
+    pub about: String,
+    /// Folders below `--scenes`; `demo` is that of the repository.
+    pub scenes: Vec<String>,
+    /// Seeds of the runs.
+    pub seeds: Vec<u64>,
+    /// Settings that all runs share, as in a config file of `limpid train`; `profile = "paper"` is its flag.
+    #[serde(default)]
+    pub set: Table,
+    /// The variant that others are compared with; without it, the common settings by themselves.
+    pub baseline: Option<String>,
+    /// The variant that could not be better. With it the report says how much of the way from the baseline each variant
+    /// closes.
+    pub bound: Option<String>,
+    /// What is compared.
+    #[serde(default)]
+    pub variants: Vec<Variant>,
+    /// Single settings and the values that each takes.
+    #[serde(default)]
+    pub knobs: Vec<Knob>,
+    /// Whether every value of each knob meets every value of the others; else one at a time is turned.
+    #[serde(default)]
+    pub crossed: bool,
+    /// The report's columns: names that [`Score`] knows, or dotted names of `metrics.json`.
+    pub score: Vec<Score>,
+    /// The picture.
+    pub plot: Option<Plot>,
+}
+
+/// A bundle of settings with a name.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Variant {
+    /// Name in the report.
+    pub name: String,
+    /// Settings on top of the common ones.
+    #[serde(default)]
+    pub set: Table,
+    /// What of the scene is as in truth.
+    #[serde(default)]
+    pub truth: Vec<Truth>,
+    /// The variant that this one is compared with; without it, the study's baseline.
+    pub against: Option<String>,
+    /// Scenes that it is not run on.
+    #[serde(default)]
+    pub except: Vec<String>,
+}
+
+/// A setting that is turned.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Knob {
+    /// Name in the report.
+    pub name: String,
+    /// Dotted name of the setting.
+    pub key: String,
+    /// Its values.
+    pub values: Vec<Value>,
+    /// The variant that it is turned on, and compared with; without it, the study's baseline.
+    pub on: Option<String>,
+    /// Scenes that it is not turned on.
+    #[serde(default)]
+    pub except: Vec<String>,
+}
+
+/// A part of a scene that can be as in truth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Truth {
+    /// Sharp training frames, `truth/images_sharp`.
+    Images,
+    /// Exact depth of the training frames, `truth/depth`.
+    Depth,
+}
+
+/// The picture of a study.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plot {
+    /// What to the right, on a logarithmic axis, every knob a curve; without it, variants stand side by side.
+    pub x: Option<Score>,
+    /// What upwards.
+    pub y: Score,
+    /// Whether the Pareto front is drawn: what nothing beats in both.
+    #[serde(default)]
+    pub front: bool,
+}
+
+impl Study {
+    /// Reads a study's file and checks that what it names is there.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not TOML, has a key that there is not, or names a variant that it has not.
+    pub fn read(path: &Path) -> Result<Self, LabError> {
+        let text = std::fs::read_to_string(path).map_err(LabError::file(path))?;
+        Self::parse(&text, path)
+    }
+
+    /// A study from the text of its file.
+    ///
+    /// # Errors
+    /// See [`Study::read`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self, LabError> {
+        let wrong = |key: String, problem: String| LabError::Study {
+            path: path.to_owned(),
+            key,
+            problem,
+        };
+        let parsed = toml::Deserializer::parse(text);
+        let parsed = parsed.map_err(|e| wrong(String::new(), e.to_string()))?;
+        let study: Self = serde_path_to_error::deserialize(parsed).map_err(|e| {
+            let line = e.inner().span().map_or_else(String::new, |span| {
+                let line = 1 + text[..span.start].matches('\n').count();
+                format!(" (line {line})")
+            });
+            let key = e.path().to_string();
+            // Without a place serde says `.`.
+            let key = if key == "." { String::new() } else { key };
+            wrong(key, format!("{}{line}", e.inner().message()))
+        })?;
+        study
+            .check()
+            .map_err(|(key, problem)| wrong(key, problem))?;
+        Ok(study)
+    }
+
+    /// Name of the variant that others are compared with.
+    #[must_use]
+    pub fn baseline(&self) -> &str {
+        self.baseline.as_deref().unwrap_or(BASELINE)
+    }
+
+    fn check(&self) -> Result<(), (String, String)> {
+        let wrong = |key: &str, problem: String| Err((key.to_owned(), problem));
+        for (key, is_empty) in [
+            ("scenes", self.scenes.is_empty()),
+            ("seeds", self.seeds.is_empty()),
+            ("score", self.score.is_empty()),
+        ] {
+            if is_empty {
+                return wrong(key, "at least one is needed".to_owned());
+            }
+        }
+        let mut names = BTreeSet::new();
+        if self.baseline.is_none() {
+            names.insert(BASELINE);
+        }
+        for (i, variant) in self.variants.iter().enumerate() {
+            if !names.insert(&variant.name) {
+                let key = format!("variants[{i}].name");
+                return wrong(&key, format!("there are two variants `{}`", variant.name));
+            }
+        }
+        let known = |key: String, name: Option<&String>| match name {
+            Some(name) if !names.contains(name.as_str()) => {
+                let there: Vec<_> = names.iter().map(|n| format!("`{n}`")).collect();
+                let there = there.join(", ");
+                Err((key, format!("no variant `{name}`; there are {there}")))
+            }
+            _ => Ok(()),
+        };
+        known("baseline".to_owned(), self.baseline.as_ref())?;
+        known("bound".to_owned(), self.bound.as_ref())?;
+        for (i, variant) in self.variants.iter().enumerate() {
+            known(format!("variants[{i}].against"), variant.against.as_ref())?;
+            self.check_scenes(&format!("variants[{i}].except"), &variant.except)?;
+        }
+        for (i, knob) in self.knobs.iter().enumerate() {
+            known(format!("knobs[{i}].on"), knob.on.as_ref())?;
+            self.check_scenes(&format!("knobs[{i}].except"), &knob.except)?;
+            if knob.values.is_empty() {
+                let key = format!("knobs[{i}].values");
+                return wrong(&key, "at least one is needed".to_owned());
+            }
+            if self.crossed && (knob.on.is_some() || !knob.except.is_empty()) {
+                let problem = "knobs that are crossed have neither `on` nor `except`";
+                return wrong(&format!("knobs[{i}]"), problem.to_owned());
+            }
+        }
+        Ok(())
+    }
+
+    fn check_scenes(&self, key: &str, scenes: &[String]) -> Result<(), (String, String)> {
+        match scenes.iter().find(|scene| !self.scenes.contains(scene)) {
+            Some(scene) => Err((key.to_owned(), format!("the study has no scene `{scene}`"))),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SMALL: &str = r#"
+title = "T"
+about = "A."
+scenes = ["demo"]
+seeds = [1]
+score = ["all"]
+"#;
+
+    fn mistake(more: &str) -> String {
+        let text = format!("{SMALL}{more}");
+        let study = Study::parse(&text, Path::new("s.toml"));
+        study.expect_err("a mistake").to_string()
+    }
+
+    #[test]
+    fn mistakes_name_file_and_key() {
+        for (more, told) in [
+            ("sead = [1]", &["`sead`", "line 7"][..]),
+            (
+                "bound = \"b\"",
+                &["`bound`", "no variant `b`", "`baseline`"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\nsett = {}",
+                &["`variants[0].sett`", "line 9", "unknown field"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\ntruth = [\"poses\"]",
+                &["`variants[0].truth[0]`", "`images`", "`depth`"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\n[[variants]]\nname = \"a\"",
+                &["`variants[1].name`", "two variants `a`"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\nexcept = [\"dema\"]",
+                &["`variants[0].except`", "no scene `dema`"],
+            ),
+            (
+                "[[knobs]]\nname = \"K\"\nkey = \"blur.kernel_size\"\nvalues = []",
+                &["`knobs[0].values`"],
+            ),
+            ("[plot]\ny = \"all\"\nz = 1", &["`plot.z`"]),
+            ("about", &["line 7"]),
+        ] {
+            let said = mistake(more);
+            for part in told.iter().chain(&["s.toml"]) {
+                assert!(said.contains(part), "{more}: {said}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_repositorys_studies_can_be_read() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("studies");
+        let mut names = Vec::new();
+        for entry in std::fs::read_dir(folder).expect("lab/studies/ can be read") {
+            let path = entry.expect("an entry").path();
+            Study::read(&path).unwrap_or_else(|e| panic!("{e}"));
+            names.push(path.file_stem().expect("a name").to_owned());
+        }
+        assert!(names.iter().any(|n| n == "demo-study"), "{names:?}");
+    }
+}
