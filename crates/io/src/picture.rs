@@ -1,8 +1,9 @@
-//! Pictures: PNG and JPEG in, 8-bit PNG out.
+//! Pictures: PNG and JPEG in, 8-bit PNG and JPEG out.
 
 use std::io::{Cursor, ErrorKind};
 use std::path::Path;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::metadata::Orientation;
 use image::{
@@ -269,6 +270,23 @@ fn to_u8(value: f32) -> u8 {
 pub fn write_png(path: &Path, image: &Image) -> Result<(), IoError> {
     let size = (image.width, image.height);
     write_pixels(path, size, &image.pixels, ExtendedColorType::Rgb8)
+}
+
+/// An 8-bit JPEG, rounded and clamped, of a quality from 1 to 100; `None` where `pixels` is not [H, W, 3] with at least one pixel
+/// and sides that a JPEG can have.
+#[must_use]
+pub fn encode_jpeg(image: &Image, quality: u8) -> Option<Vec<u8>> {
+    let [width, height] = [image.width, image.height].map(|side| u16::try_from(side).ok());
+    let (width, height) = (width?, height?);
+    if image.pixels.len() != 3 * image.width * image.height {
+        return None;
+    }
+    let bytes: Vec<u8> = image.pixels.iter().map(|&v| to_u8(v)).collect();
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, quality)
+        .write_image(&bytes, width.into(), height.into(), ExtendedColorType::Rgb8)
+        .ok()?;
+    Some(jpeg)
 }
 
 /// Writes an 8-bit grey PNG of values in [0, 1], rounded and clamped, atomically (see [`write_atomic`]).
