@@ -99,7 +99,7 @@ impl<'a> Facts<'a> {
         run: &'a Run,
         config: &'a Config,
         metrics: &'a Value,
-        curves: Curves,
+        curves: &[Line],
     ) -> Self {
         let settings = run.settings();
         let train = run.views().train.iter();
