@@ -35,8 +35,9 @@ function cameraFigures(view, { path_px, disc_px, focus, spots }) {
     const name = spots.length === 3 ? names[k] : `point ${k + 1}`;
     return el("figure", {}, picture, el("figcaption", {}, `${name}: depth ${decimals(spot.depth, 2)}`));
   });
+  const lens = disc_px > 0.05 ? ` The largest disc of its lens is ${decimals(disc_px, 1)} px wide, and the focus lies at ${decimals(focus, 2)}.` : "";
   const text = `While the shutter was open, points at these depths in the middle of the picture left light here: ${decimals(reach, 1)} px from middle to edge. `
-    + `The camera's path is ${decimals(path_px, 1)} px long, the largest disc of its lens ${decimals(disc_px, 1)} px wide, and the focus lies at ${decimals(focus, 2)}.`;
+    + `The camera's path is ${decimals(path_px, 1)} px long.${lens}`;
   return [...figures, el("p", {}, text)];
 }
 

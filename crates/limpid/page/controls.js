@@ -1,5 +1,7 @@
 // Pointer and keys over the scene: orbit, pan, move closer, walk.
 
+const WALK_KEYS = ["w", "a", "s", "d", "q", "e"];
+
 /** Moves a free camera; calls `moved(place)` with every new place. */
 class Controls {
   /** `up` is the world's upward direction, `reach` how far ahead of the camera the point lies that it orbits. */
@@ -41,14 +43,14 @@ class Controls {
       const lines = event.deltaMode === 1 ? 16 : 1;
       this.dolly(Math.exp(0.0012 * clamp(event.deltaY * lines, -300, 300)));
     }, { passive: false });
-    canvas.addEventListener("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey || !"wasdqe".includes(event.key.toLowerCase())) return;
+    document.addEventListener("keydown", (event) => {
+      if (isForOthers(event) || !WALK_KEYS.includes(event.key.toLowerCase())) return;
       event.preventDefault();
       this.pressed.add(event.key.toLowerCase());
       this.walk();
     });
-    canvas.addEventListener("keyup", (event) => this.pressed.delete(event.key.toLowerCase()));
-    canvas.addEventListener("blur", () => this.pressed.clear());
+    document.addEventListener("keyup", (event) => this.pressed.delete(event.key.toLowerCase()));
+    window.addEventListener("blur", () => this.pressed.clear());
   }
 
   drag(event) {
@@ -106,24 +108,29 @@ class Controls {
     this.go({ ...this.place, center });
   }
 
-  /** Goes on as long as keys are down. */
+  /** Goes on as long as keys are down; by a step at least, however short a key was down. */
   walk() {
+    this.walkFor(1 / 60);
     if (this.walking) return;
     let before = performance.now();
     const step = (now) => {
       this.walking = this.pressed.size > 0;
       if (!this.walking) return;
-      const way = 0.6 * this.size * Math.min((now - before) / 1000, 0.1);
+      this.walkFor(clamp((now - before) / 1000, 0, 0.1));
       before = now;
-      const [right, down, ahead] = axesOf(this.place);
-      const keys = { w: [ahead, 1], s: [ahead, -1], d: [right, 1], a: [right, -1], q: [down, 1], e: [down, -1] };
-      let { center } = this.place;
-      for (const key of this.pressed) center = add3(center, keys[key][0], keys[key][1] * way);
-      this.go({ ...this.place, center });
       requestAnimationFrame(step);
     };
     this.walking = true;
     requestAnimationFrame(step);
+  }
+
+  walkFor(seconds) {
+    const way = 0.6 * this.size * seconds;
+    const [right, down, ahead] = axesOf(this.place);
+    const keys = { w: [ahead, 1], s: [ahead, -1], d: [right, 1], a: [right, -1], q: [down, 1], e: [down, -1] };
+    let { center } = this.place;
+    for (const key of this.pressed) center = add3(center, keys[key][0], keys[key][1] * way);
+    this.go({ ...this.place, center });
   }
 
   go(place) {

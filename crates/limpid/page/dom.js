@@ -35,3 +35,9 @@ function duration(seconds) {
   if (seconds < 7200) return `${Math.round(seconds / 60)} min`;
   return `${(seconds / 3600).toFixed(1)} h`;
 }
+
+/** Whether a key is meant for the browser, or for the field or button that has the focus. */
+function isForOthers({ ctrlKey, metaKey, altKey, target, key }) {
+  if (ctrlKey || metaKey || altKey) return true;
+  return Boolean(target.closest("input, select, summary, a") || (target.closest("button") && (key === " " || key === "Enter")));
+}

@@ -9,6 +9,7 @@ class Overlay {
   /** `cameras` are views of training and test with their places; frusta are `size` deep, scene units. */
   constructor(canvas, cameras, size) {
     this.canvas = canvas;
+    this.context = canvas.getContext("2d");
     this.cameras = cameras;
     this.size = size;
     this.path = cameras.filter((camera) => !camera.test).map((camera) => camera.place.center);
@@ -27,14 +28,14 @@ class Overlay {
 
   clear() {
     this.spots = [];
-    const { canvas } = this;
-    canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
+    const { canvas, context } = this;
+    context.clearRect(0, 0, canvas.width, canvas.height);
   }
 
   /** Draws all cameras as a view sees them; `ratio` is canvas pixels per CSS pixel, `current` the camera of the time. */
   draw(view, ratio, current) {
     this.clear();
-    const context = this.canvas.getContext("2d");
+    const { context } = this;
     const line = (points, closed) => {
       context.beginPath();
       let open = false;

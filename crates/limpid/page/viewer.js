@@ -2,9 +2,11 @@
 
 /** Frames of the video a second at speed 1: slow enough to see how things move. */
 const FRAME_RATE = 12;
-/** Pictures take at most this long on the average, ms, or they become smaller, down to a share of the canvas. */
+/** While things move pictures take at most this long, ms, or they become smaller, down to a share of the canvas's sides. */
 const SLOW = 45;
-const LEAST_SHARE = 0.35;
+const LEAST_SHARE = 0.3;
+/** After so long without a move, ms, the picture is drawn at its full size. */
+const REST = 300;
 /** Canvas pixels per CSS pixel at most. */
 const MOST_RATIO = 2;
 
@@ -37,6 +39,8 @@ class Viewer {
     this.camera = "follow";
     this.lens = facts.train[0];
     this.share = 1;
+    /** When somebody last moved the camera. */
+    this.moved = -Infinity;
     this.costs = { pose: [], sort: [], frame: [] };
     this.drawn = 0;
     this.connect();
@@ -94,7 +98,7 @@ class Viewer {
   }
 
   key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, select, button, summary, a")) return;
+    if (isForOthers(event)) return;
     const actions = {
       " ": () => (this.playing ? this.pause() : this.play()),
       ArrowLeft: () => this.step(-1),
@@ -143,6 +147,7 @@ class Viewer {
   /** A view that somebody chose. */
   free({ center, rotation }) {
     this.camera = null;
+    this.moved = performance.now();
     this.controls.place = { center, rotation };
     this.invalidate();
   }
@@ -225,8 +230,11 @@ class Viewer {
       this.advance(Math.min(ms, 250));
       this.adapt();
     }
-    const width = Math.max(Math.round(this.width * this.share), 1);
-    const height = Math.max(Math.round(this.height * this.share), 1);
+    const moves = this.playing || now - this.moved < REST;
+    const share = moves ? this.share : 1;
+    if (!this.playing && share < 1) setTimeout(() => this.invalidate(), REST);
+    const width = Math.max(Math.round(this.width * share), 1);
+    const height = Math.max(Math.round(this.height * share), 1);
     if (this.canvas.width !== width || this.canvas.height !== height) [this.canvas.width, this.canvas.height] = [width, height];
     if (this.camera === "follow") this.controls.place = placeOnPath(this.stops, this.time);
     const view = viewOf(this.controls.place, this.lens, width, height);
@@ -268,9 +276,10 @@ class Viewer {
   /** Makes pictures smaller where they come too slowly, and larger again where they come fast. */
   adapt() {
     const { frame } = this.costs;
-    if (frame.length < 12) return;
     const ms = median(frame);
-    const share = clamp(ms > SLOW ? this.share / 1.4 : ms < SLOW / 2.5 ? this.share * 1.2 : this.share, LEAST_SHARE, 1);
+    if (frame.length < (ms > 4 * SLOW ? 2 : 12)) return;
+    const wanted = ms > SLOW ? this.share * clamp(Math.sqrt(SLOW / ms), 0.4, 0.85) : ms < SLOW / 2.5 ? this.share * 1.2 : this.share;
+    const share = clamp(wanted, LEAST_SHARE, 1);
     if (Math.abs(share - this.share) > 0.01) {
       this.share = share;
       this.costs.frame = [];
@@ -324,7 +333,9 @@ class Viewer {
   }
 }
 
+/** NaN of nothing. */
 function median(values) {
+  if (values.length === 0) return NaN;
   const sorted = [...values].sort((a, b) => a - b);
   return sorted[Math.floor(sorted.length / 2)];
 }

@@ -75,7 +75,8 @@ class Wipe {
     const left = choose("left", ["input", "truth"]);
     const right = choose("right", ["sharp"]);
     const put = (image, tag, key) => {
-      image.src = `data:image/jpeg;base64,${view.pictures[key]}`;
+      if (view.pictures[key]) image.src = `data:image/jpeg;base64,${view.pictures[key]}`;
+      else image.removeAttribute("src");
       image.alt = `${PICTURES.find(([name]) => name === key)[1]} of ${view.name}`;
       tag.textContent = PICTURES.find(([name]) => name === key)[1];
     };

@@ -124,7 +124,9 @@ pub(crate) fn write_renders(
         std::fs::create_dir_all(made).map_err(|e| format!("{e}: {}", made.display()))?;
     }
     let views = run.views();
-    let truth = scene.map(Scene::truth).transpose()?.unwrap_or_default();
+    // Training looked at it before; here what is not whole is only not shown.
+    let truth = scene.and_then(|scene| scene.truth().ok());
+    let truth = truth.unwrap_or_default();
     let mut gallery = Gallery::new(&views.train, &views.test);
     let shown = sheet::frames(views.train.len());
     let mut rows = Vec::new();

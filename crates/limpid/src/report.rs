@@ -36,10 +36,14 @@ pub(crate) fn write(
 ) -> Result<(), Failure> {
     let scene = scene_bytes(run);
     let mut facts = Facts::new(run, config, metrics, curves);
-    facts.factor = gallery.factor;
     let gallery = serde_json::to_string(gallery)?;
-    let encoded = STANDARD.encode(&scene);
-    let beside = gallery.len() + encoded.len() > MOST_BYTES;
+    // Base64 writes three bytes as four.
+    let beside = gallery.len() + scene.len() / 3 * 4 > MOST_BYTES;
+    let encoded = if beside {
+        String::new()
+    } else {
+        STANDARD.encode(&scene)
+    };
     let side = out.join(SIDE_FILE);
     if beside {
         facts.side_file = Some(SIDE_FILE);
@@ -51,7 +55,7 @@ pub(crate) fn write(
         title: scene_name(config),
         facts: &serde_json::to_string(&facts)?,
         gallery: &gallery,
-        splats: if beside { "" } else { &encoded },
+        splats: &encoded,
     }
     .html();
     Ok(io::write_atomic(&out.join(FILE), |file| {

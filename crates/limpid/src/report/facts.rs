@@ -5,6 +5,7 @@ use crate::log::Line;
 use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
+use trainer::glam::DAffine3;
 use trainer::schedule::Schedule;
 use trainer::{CameraView, Change, Run, Settings, differences};
 
@@ -21,8 +22,6 @@ pub(crate) struct Facts<'a> {
     scene_size: f64,
     gaussians: usize,
     movers: usize,
-    /// Pictures are so many times smaller than their views.
-    pub(crate) factor: usize,
     /// Name of the file beside the page that holds the splats, where the page does not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) side_file: Option<&'static str>,
@@ -94,7 +93,7 @@ struct Other {
 }
 
 impl<'a> Facts<'a> {
-    /// Of a run on a scene of this name, with its scores and the lines of its log.
+    /// Of a run, with its scores and the lines of its log.
     pub(crate) fn new(
         run: &'a Run,
         config: &'a Config,
@@ -102,7 +101,7 @@ impl<'a> Facts<'a> {
         curves: &[Line],
     ) -> Self {
         let settings = run.settings();
-        let train = run.views().train.iter();
+        let (train, test) = (run.views().train.iter(), run.views().test.iter());
         let others = differences(settings, &Settings::default());
         let mut notes = run.survey().notes.clone();
         for note in run.survey().decided(settings) {
@@ -119,17 +118,13 @@ impl<'a> Facts<'a> {
             scene_size: run.survey().scene_size,
             gaussians: run.model().num_gaussians(),
             movers: run.model().num_dynamic(),
-            factor: 1,
             side_file: None,
-            // As corrected: where the sharp renders are seen from.
             train: train
-                .map(|view| Place::of(&view.name, &run.view_at(view.time)))
+                .enumerate()
+                .map(|(frame, view)| Place::of(view, &run.training_pose(frame)))
                 .collect(),
-            test: run
-                .views()
-                .test
-                .iter()
-                .map(|view| Place::of(&view.name, view))
+            test: test
+                .map(|view| Place::of(view, &view.cam_from_world))
                 .collect(),
             curves: Curves::of(curves),
             moments: moments(run.schedule()),
@@ -151,11 +146,11 @@ impl<'a> Facts<'a> {
 }
 
 impl Place {
-    fn of(name: &str, view: &CameraView) -> Self {
-        let (camera, pose) = (&view.camera, &view.cam_from_world);
-        let (r, t) = (pose.matrix3, pose.translation);
+    fn of(view: &CameraView, cam_from_world: &DAffine3) -> Self {
+        let camera = &view.camera;
+        let (r, t) = (cam_from_world.matrix3, cam_from_world.translation);
         Self {
-            name: name.to_owned(),
+            name: view.name.clone(),
             time: view.time,
             width: camera.width,
             height: camera.height,

@@ -22,7 +22,7 @@ const MOST_KERNEL_BYTES: usize = 4_000_000;
 #[derive(Debug, Serialize)]
 pub(crate) struct Gallery {
     /// Pictures are so many times smaller than the frames.
-    pub(crate) factor: usize,
+    factor: usize,
     views: Vec<GalleryView>,
     #[serde(skip)]
     places: usize,

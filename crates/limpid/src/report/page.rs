@@ -117,6 +117,15 @@ mod tests {
     }
 
     #[test]
+    fn the_script_does_not_end_its_own_element() {
+        assert!(
+            SCRIPT
+                .iter()
+                .all(|part| !part.contains("</script") && !part.contains("<!--"))
+        );
+    }
+
+    #[test]
     fn every_place_of_the_template_is_filled_and_nothing_is_fetched() {
         let page = Page {
             title: "t",

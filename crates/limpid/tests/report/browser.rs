@@ -92,13 +92,7 @@ impl Browser {
             json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
         self.send("Emulation.setDeviceMetricsOverride", size)?;
         self.send("Page.navigate", json!({ "url": address }))?;
-        let started = Instant::now();
-        while self.evaluate("typeof report === 'object' && report.ready !== null")? != true {
-            if started.elapsed() > PATIENCE {
-                return Err(format!("the page does not come: {:?}", self.events).into());
-            }
-            std::thread::sleep(Duration::from_millis(50));
-        }
+        self.wait_for("typeof report === 'object' && report.ready !== null")?;
         self.evaluate("report.ready.then(() => true)")?;
         Ok(())
     }
@@ -142,6 +136,18 @@ impl Browser {
             return Err(format!("{expression}: {exception}").into());
         }
         Ok(reply["result"]["value"].take())
+    }
+
+    /// Waits until an expression of the page holds; an error if that takes too long.
+    pub(crate) fn wait_for(&mut self, condition: &str) -> Outcome {
+        let started = Instant::now();
+        while self.evaluate(condition)? != true {
+            if started.elapsed() > PATIENCE {
+                return Err(format!("{condition}: never").into());
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        Ok(())
     }
 
     /// A PNG of what the window shows.
