@@ -278,7 +278,7 @@ pub fn write_png(path: &Path, image: &Image) -> Result<(), IoError> {
 pub fn encode_jpeg(image: &Image, quality: u8) -> Option<Vec<u8>> {
     let [width, height] = [image.width, image.height].map(|side| u16::try_from(side).ok());
     let (width, height) = (width?, height?);
-    if image.pixels.len() != 3 * image.width * image.height {
+    if image.pixels.is_empty() || image.pixels.len() != 3 * image.width * image.height {
         return None;
     }
     let bytes: Vec<u8> = image.pixels.iter().map(|&v| to_u8(v)).collect();
@@ -324,7 +324,32 @@ fn write_pixels(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::codecs::jpeg::JpegEncoder;
+
+    #[test]
+    fn a_jpeg_comes_back_nearly_as_it_was_and_no_picture_is_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        let ramp = |i: usize| (i / 3 % 16) as f32 / 15.0;
+        let image = Image {
+            width: 16,
+            height: 8,
+            pixels: (0..3 * 16 * 8).map(ramp).collect(),
+        };
+        std::fs::write(&path, encode_jpeg(&image, 95).unwrap()).unwrap();
+        let back = read_image(&path).unwrap();
+        assert_eq!((back.width, back.height), (16, 8));
+        for (a, b) in back.pixels.iter().zip(&image.pixels) {
+            assert!((a - b).abs() < 0.03, "{a} for {b}");
+        }
+        for (width, height) in [(0, 8), (16, 7), (70_000, 0)] {
+            let odd = Image {
+                width,
+                height,
+                pixels: image.pixels.clone(),
+            };
+            assert!(encode_jpeg(&odd, 95).is_none(), "{width} x {height}");
+        }
+    }
 
     #[test]
     fn written_pictures_come_back_rounded() {
