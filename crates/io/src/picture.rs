@@ -1,8 +1,9 @@
-//! Pictures: PNG and JPEG in, 8-bit PNG out.
+//! Pictures: PNG and JPEG in, 8-bit PNG and JPEG out.
 
 use std::io::{Cursor, ErrorKind};
 use std::path::Path;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::metadata::Orientation;
 use image::{
@@ -271,6 +272,23 @@ pub fn write_png(path: &Path, image: &Image) -> Result<(), IoError> {
     write_pixels(path, size, &image.pixels, ExtendedColorType::Rgb8)
 }
 
+/// An 8-bit JPEG, rounded and clamped, of a quality from 1 to 100; `None` where `pixels` is not [H, W, 3] with at least one pixel
+/// and sides that a JPEG can have.
+#[must_use]
+pub fn encode_jpeg(image: &Image, quality: u8) -> Option<Vec<u8>> {
+    let [width, height] = [image.width, image.height].map(|side| u16::try_from(side).ok());
+    let (width, height) = (width?, height?);
+    if image.pixels.is_empty() || image.pixels.len() != 3 * image.width * image.height {
+        return None;
+    }
+    let bytes: Vec<u8> = image.pixels.iter().map(|&v| to_u8(v)).collect();
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, quality)
+        .write_image(&bytes, width.into(), height.into(), ExtendedColorType::Rgb8)
+        .ok()?;
+    Some(jpeg)
+}
+
 /// Writes an 8-bit grey PNG of values in [0, 1], rounded and clamped, atomically (see [`write_atomic`]).
 ///
 /// # Errors
@@ -306,7 +324,32 @@ fn write_pixels(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::codecs::jpeg::JpegEncoder;
+
+    #[test]
+    fn a_jpeg_comes_back_nearly_as_it_was_and_no_picture_is_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        let ramp = |i: usize| (i / 3 % 16) as f32 / 15.0;
+        let image = Image {
+            width: 16,
+            height: 8,
+            pixels: (0..3 * 16 * 8).map(ramp).collect(),
+        };
+        std::fs::write(&path, encode_jpeg(&image, 95).unwrap()).unwrap();
+        let back = read_image(&path).unwrap();
+        assert_eq!((back.width, back.height), (16, 8));
+        for (a, b) in back.pixels.iter().zip(&image.pixels) {
+            assert!((a - b).abs() < 0.03, "{a} for {b}");
+        }
+        for (width, height) in [(0, 8), (16, 7), (70_000, 0)] {
+            let odd = Image {
+                width,
+                height,
+                pixels: image.pixels.clone(),
+            };
+            assert!(encode_jpeg(&odd, 95).is_none(), "{width} x {height}");
+        }
+    }
 
     #[test]
     fn written_pictures_come_back_rounded() {

@@ -6,7 +6,8 @@ use crate::{Image, Map};
 
 /// Averages F x F blocks of a picture. What does not fill a block at the right and at the bottom is
 /// cropped. `factor` is at least 1, which changes nothing, and at most the picture's smaller side.
-pub(crate) fn shrink_image(image: Image, factor: usize) -> Image {
+#[must_use]
+pub fn shrink_image(image: Image, factor: usize) -> Image {
     if factor == 1 {
         return image;
     }

@@ -17,6 +17,11 @@ pub(crate) fn are_in(out: &Path) -> bool {
         .any(|name| out.join(FOLDER).join(name).exists())
 }
 
+/// The last checkpoint of the run in a folder.
+pub(crate) fn file(out: &Path) -> PathBuf {
+    out.join(FOLDER).join(CHECKPOINT_FILE)
+}
+
 /// The run in a folder, from its last checkpoint or, where that is damaged, from the one before it.
 pub(crate) fn open(out: &Path, config: &Config) -> Result<Run, Failure> {
     let run = Run::open(&out.join(FOLDER), &config.run.backend.device()?)?;

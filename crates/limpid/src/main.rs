@@ -8,14 +8,18 @@ mod eval;
 mod failure;
 mod keys;
 mod lock;
+mod log;
 mod memory;
 mod outputs;
 mod progress;
 mod render;
+mod report;
 mod say;
+mod serve;
 mod sheet;
 mod stop;
 mod train;
+mod view;
 
 use clap::{Parser, Subcommand};
 use failure::with_causes;
@@ -45,6 +49,8 @@ enum Command {
     Eval(eval::EvalArguments),
     /// Look whether a scene's files fit each other: exit code 0, 1 (doubtful) or 2 (wrong).
     Check(check::CheckArguments),
+    /// Show a run's report in the browser, served on the loopback address.
+    View(view::ViewArguments),
     /// List what tensors can live on, and whether a scene fits.
     Devices(devices::DevicesArguments),
 }
@@ -55,6 +61,7 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
+        Command::View(arguments) => view::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
     };
     match result {

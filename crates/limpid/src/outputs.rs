@@ -1,8 +1,11 @@
 //! What a run leaves in its folder.
 
 use crate::checkpoints;
-use crate::config::{Backend, CONFIG_FILE};
-use crate::failure::Failure;
+use crate::config::{Backend, CONFIG_FILE, Config};
+use crate::failure::{Failure, with_causes};
+use crate::log;
+use crate::report::{self, Gallery};
+use crate::say::say;
 use crate::sheet;
 use io::Scene;
 use serde::Serialize;
@@ -10,10 +13,16 @@ use std::fmt::Write as _;
 use std::path::Path;
 use trainer::{Change, Evaluation, Run, Scores, Settings, Trainer};
 
+/// A run's scores.
+pub(crate) const METRICS_FILE: &str = "metrics.json";
+
 /// The names of a run's results in its folder.
-const RESULTS: [&str; 5] = [
+const RESULTS: [&str; 8] = [
     CONFIG_FILE,
-    "metrics.json",
+    METRICS_FILE,
+    log::LOG_FILE,
+    report::FILE,
+    report::SIDE_FILE,
     checkpoints::FOLDER,
     "renders",
     "scene.ply",
@@ -85,29 +94,40 @@ fn is_run(out: &Path) -> bool {
         .is_some_and(|config| config["run"].is_object() && config["settings"].is_object())
 }
 
-/// Writes all pictures and the PLY, and scores.
-pub(crate) fn write_all(trainer: &Trainer, out: &Path) -> Result<Evaluation, Failure> {
-    let frames = Some(trainer.scene());
-    write_renders(trainer.run(), frames, &out.join("renders"))?;
+/// Writes all pictures, the PLY, scores and the report.
+pub(crate) fn write_all(
+    trainer: &Trainer,
+    config: &Config,
+    out: &Path,
+) -> Result<Evaluation, Failure> {
+    let run = trainer.run();
+    let gallery = write_renders(run, Some(trainer.scene()), &out.join("renders"))?;
     io::write_ply(&out.join("scene.ply"), &trainer.model().gaussians(None))?;
-    Ok(trainer.evaluate()?)
+    let evaluation = trainer.evaluate()?;
+    let metrics = metrics(&evaluation, run, config.run.backend);
+    io::write_json(&out.join(METRICS_FILE), &metrics)?;
+    let curves = log::read(&out.join(log::LOG_FILE));
+    let metrics = serde_json::to_value(&metrics)?;
+    report::write(out, run, config, &gallery, (&metrics, &curves))?;
+    Ok(evaluation)
 }
 
-/// Writes `test/`, `train/`, `blurred/` and `blur.png`, whose blurry frames are those of `scene`.
+/// Writes `test/`, `train/`, `blurred/` and `blur.png`, whose blurry frames are those of `scene`. Gives the pictures back for the
+/// report.
 pub(crate) fn write_renders(
     run: &Run,
     scene: Option<&Scene>,
     folder: &Path,
-) -> Result<(), Failure> {
+) -> Result<Gallery, Failure> {
     let [test, train, blurred] = ["test", "train", "blurred"].map(|name| folder.join(name));
     for made in [&test, &train, &blurred] {
         std::fs::create_dir_all(made).map_err(|e| format!("{e}: {}", made.display()))?;
     }
     let views = run.views();
-    for (index, view) in views.test.iter().enumerate() {
-        let image = run.render_view(&view.camera, &view.cam_from_world, view.time)?;
-        io::write_png(&test.join(format!("{index:05}.png")), &image)?;
-    }
+    // Training looked at it before; here what is not whole is only not shown.
+    let truth = scene.and_then(|scene| scene.truth().ok());
+    let truth = truth.unwrap_or_default();
+    let mut gallery = Gallery::new(&views.train, &views.test);
     let shown = sheet::frames(views.train.len());
     let mut rows = Vec::new();
     for index in 0..views.train.len() {
@@ -115,16 +135,46 @@ pub(crate) fn write_renders(
         io::write_png(&train.join(format!("{index:05}.png")), &view.sharp)?;
         io::write_png(&blurred.join(format!("{index:05}.png")), &view.seen)?;
         let blurry = scene.and_then(|scene| Some(&scene.frames.get(index)?.view.image));
+        let sharp = truth.sharp.as_ref().and_then(|sharp| sharp.get(index));
+        gallery.add_frame(blurry, &view, sharp);
         if shown.contains(&index)
             && let Some(row) = sheet::row(blurry, &view)
         {
             rows.push(row);
         }
     }
+    for (index, view) in views.test.iter().enumerate() {
+        let image = run.render_view(&view.camera, &view.cam_from_world, view.time)?;
+        io::write_png(&test.join(format!("{index:05}.png")), &image)?;
+        // The scene may have other test views than when the run began.
+        let same = |other: &&io::View| other.name == view.name;
+        let taken = scene.and_then(|scene| scene.test.iter().find(same));
+        gallery.add_test(&image, taken.map(|view| &view.image));
+    }
     if let Some(sheet) = sheet::stack(&rows) {
         io::write_png(&folder.join("blur.png"), &sheet)?;
     }
-    Ok(())
+    Ok(gallery)
+}
+
+/// The scene, for its blurry frames: where the user says it is, or where it was if it still is there.
+pub(crate) fn frames(
+    run: &Run,
+    config: &Config,
+    given: Option<&Path>,
+) -> Result<Option<Scene>, Failure> {
+    let scene = config.at(given).open_scene().and_then(|scene| {
+        run.check_scene(&scene)?;
+        Ok(scene)
+    });
+    match scene {
+        Err(problem) if given.is_none() => {
+            let problem = with_causes(&*problem);
+            say!("note: the pictures of blur go without the blurry frames: {problem}");
+            Ok(None)
+        }
+        scene => scene.map(Some),
+    }
 }
 
 /// What `metrics.json` holds.

@@ -2,11 +2,10 @@
 
 use crate::checkpoints;
 use crate::config::{Backend, Config};
-use crate::failure::{Failure, with_causes};
+use crate::failure::Failure;
 use crate::outputs;
 use crate::say::say;
-use io::Scene;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use trainer::{Run, Shot};
 
@@ -76,7 +75,7 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
     }
     let pictures = arguments.at.is_empty() && arguments.ply_at.is_empty();
     if pictures && !arguments.ply_sequence {
-        let scene = frames(&run, &config, arguments.scene.as_deref())?;
+        let scene = outputs::frames(&run, &config, arguments.scene.as_deref())?;
         outputs::write_renders(&run, scene.as_ref(), &out)?;
     }
     let model = run.model();
@@ -109,20 +108,4 @@ fn within(run: &Run, flag: &str, time: f32) -> Result<(), Failure> {
         return Ok(());
     }
     Err(format!("{flag} {time}: the video goes from {from} to {to}, in training frames").into())
-}
-
-/// The scene, for its blurry frames: where the user says it is, or where it was if it still is there.
-fn frames(run: &Run, config: &Config, given: Option<&Path>) -> Result<Option<Scene>, Failure> {
-    let scene = config.at(given).open_scene().and_then(|scene| {
-        run.check_scene(&scene)?;
-        Ok(scene)
-    });
-    match scene {
-        Err(problem) if given.is_none() => {
-            let problem = with_causes(&*problem);
-            say!("note: the pictures of blur go without the blurry frames: {problem}");
-            Ok(None)
-        }
-        scene => scene.map(Some),
-    }
 }

@@ -5,9 +5,11 @@ use crate::checkpoints::{self, Checkpoints};
 use crate::config::{self, Backend, CONFIG_FILE, Config};
 use crate::failure::{Failure, with_causes};
 use crate::lock::Lock;
+use crate::log::Log;
 use crate::memory;
 use crate::outputs;
 use crate::progress::{Progress, during};
+use crate::report;
 use crate::say::say;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
 use std::path::{Path, PathBuf};
@@ -69,7 +71,7 @@ pub(crate) struct TrainArguments {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Blur {
-    /// The camera where frames differ in sharpness, nothing where they do not.
+    /// Nothing where frames are alike in sharpness, else the camera, and kernels over it where the frames need a lens and paths.
     Auto,
     /// The camera.
     On,
@@ -144,6 +146,7 @@ impl Started {
             _lock,
         } = self;
         let stop = Stop::listen()?;
+        let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
         while !trainer.is_done() && !stop.is_asked() {
             let started = Instant::now();
@@ -162,6 +165,7 @@ impl Started {
                 }
             };
             progress.show(&report);
+            log.add(&report, trainer.run().seconds());
             let asked = save.take();
             if !trainer.is_done() && (asked || checkpoints.is_due(report.iteration)) {
                 checkpoints.save_on_the_way(trainer);
@@ -179,14 +183,15 @@ impl Started {
             );
             return Ok(ExitCode::from(INTERRUPTED));
         }
-        let evaluation = during("rendering and scoring", || outputs::write_all(trainer, out))?;
-        let metrics = outputs::metrics(&evaluation, trainer.run(), config.run.backend);
-        io::write_json(&out.join("metrics.json"), &metrics)?;
+        let evaluation = during("rendering and scoring", || {
+            outputs::write_all(trainer, config, out)
+        })?;
         say!("{}", outputs::summary(&evaluation));
         say!(
-            "{:.0} s of training; results in {}",
+            "{:.0} s of training; results in {}; {} shows them",
             trainer.run().seconds(),
-            out.display()
+            out.display(),
+            out.join(report::FILE).display()
         );
         Ok(ExitCode::SUCCESS)
     }

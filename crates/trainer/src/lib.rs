@@ -108,4 +108,4 @@ pub use step::StepReport;
 pub use survey::{Survey, survey};
 pub use trainer::Trainer;
 pub use views::{CameraView, Views};
-pub use world::{MotionModel, Posed, World};
+pub use world::{MotionArrays, MotionModel, Posed, World};

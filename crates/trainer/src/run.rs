@@ -158,6 +158,16 @@ impl Run {
         })
     }
 
+    /// Where a training frame was taken from: the given pose as corrected, which [`Self::render_training_view`] looks from.
+    ///
+    /// # Panics
+    /// Panics if there is no such frame.
+    #[must_use]
+    pub fn training_pose(&self, frame: usize) -> DAffine3 {
+        let given = &self.plan.views.train[frame].cam_from_world;
+        self.state.model.corrections.pose(frame, given)
+    }
+
     /// A look at a view that is learned from, at iteration `it`.
     pub(crate) fn look_at<'a>(&self, view: &'a ViewRef<'a>, it: usize) -> Look<'a> {
         Look {

@@ -38,6 +38,21 @@ pub struct World {
     pub motion: Option<MotionModel>,
 }
 
+/// A motion as plain arrays, for a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MotionArrays {
+    /// Number of training frames T.
+    pub num_frames: usize,
+    /// Number of bases B.
+    pub num_bases: usize,
+    /// 6D rotations of the bases, [B, T, 6] row-major.
+    pub rots: Vec<f32>,
+    /// Translations of the bases in scene units, [B, T, 3] row-major.
+    pub transls: Vec<f32>,
+    /// Logits of the motion coefficients of the dynamic Gaussians, [F, B] row-major.
+    pub coefficients: Vec<f32>,
+}
+
 /// Gaussians posed at one time.
 #[derive(Debug)]
 pub struct Posed {
@@ -222,6 +237,19 @@ impl World {
             *tensor = constant(tensor);
         }
         copy
+    }
+
+    /// The motion as plain arrays; `None` where nothing moves.
+    #[must_use]
+    pub fn motion_arrays(&self) -> Option<MotionArrays> {
+        let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0)?;
+        Some(MotionArrays {
+            num_frames: motion.bases.num_frames,
+            num_bases: motion.bases.num_bases(),
+            rots: host(motion.bases.rots.clone()),
+            transls: host(motion.bases.transls.clone()),
+            coefficients: host(motion.coefficients.clone()),
+        })
     }
 
     /// Plain arrays for a file: the scene at a time, or the canonical scene.

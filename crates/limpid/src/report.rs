@@ -1,0 +1,81 @@
+//! `report.html`: a run as one page that opens from disk and asks no network.
+
+mod facts;
+mod gallery;
+mod page;
+mod splats;
+
+pub(crate) use gallery::Gallery;
+
+use crate::config::Config;
+use crate::failure::Failure;
+use crate::log::Line;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use facts::{Facts, scene_name};
+use page::Page;
+use serde_json::Value;
+use splats::Rows;
+use std::path::Path;
+use trainer::Run;
+
+/// The page.
+pub(crate) const FILE: &str = "report.html";
+/// What of a large scene lies beside it.
+pub(crate) const SIDE_FILE: &str = "report.splats";
+/// A page with more bytes than this has its splats beside it.
+const MOST_BYTES: usize = 25_000_000;
+
+/// Writes the report of a run into its folder: scores are as in `metrics.json`, or null.
+pub(crate) fn write(
+    out: &Path,
+    run: &Run,
+    config: &Config,
+    gallery: &Gallery,
+    (metrics, curves): (&Value, &[Line]),
+) -> Result<(), Failure> {
+    let scene = scene_bytes(run);
+    let mut facts = Facts::new(run, config, metrics, curves);
+    let gallery = serde_json::to_string(gallery)?;
+    // Base64 writes three bytes as four.
+    let beside = gallery.len() + scene.len() / 3 * 4 > MOST_BYTES;
+    let encoded = if beside {
+        String::new()
+    } else {
+        STANDARD.encode(&scene)
+    };
+    let side = out.join(SIDE_FILE);
+    if beside {
+        facts.side_file = Some(SIDE_FILE);
+        io::write_atomic(&side, |file| file.write_all(&scene))?;
+    } else if side.exists() {
+        std::fs::remove_file(&side).map_err(|e| format!("{e}: {}", side.display()))?;
+    }
+    let html = Page {
+        title: scene_name(config),
+        facts: &serde_json::to_string(&facts)?,
+        gallery: &gallery,
+        splats: &encoded,
+    }
+    .html();
+    Ok(io::write_atomic(&out.join(FILE), |file| {
+        file.write_all(html.as_bytes())
+    })?)
+}
+
+/// The Gaussians and their motion, with the colours that are trained by now.
+fn scene_bytes(run: &Run) -> Vec<u8> {
+    let gaussians = run.model().gaussians(None);
+    let rows = Rows {
+        means: &gaussians.means,
+        quats: &gaussians.quats,
+        log_scales: &gaussians.log_scales,
+        opacity_logits: &gaussians.opacity_logits,
+        sh: &gaussians.sh,
+    };
+    let degree = run
+        .schedule()
+        .sh_degree_at(run.iteration())
+        .min(gaussians.sh_degree);
+    splats::encode(&rows, degree, run.model().world.motion_arrays().as_ref())
+}

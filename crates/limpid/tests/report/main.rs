@@ -1,0 +1,288 @@
+//! The report as a browser shows it: without an error, without a request, with the renderer's pixels.
+//!
+//! Needs Chromium (`chromium` where programs are found, or the environment variable `LIMPID_CHROMIUM`); without it, all of this
+//! says that it skips.
+
+#![cfg(unix)]
+
+mod browser;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use browser::{Browser, Outcome, chromium};
+use std::fs;
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+/// A report's pictures and the renderer's may differ by so much on the average, 8-bit units.
+const MEAN_DIFFERENCE: f64 = 2.0;
+
+/// Chromium, or a word that there is none. Not through `eprintln!`, which the test harness catches.
+fn browser_or_word(test: &str) -> Outcome<Option<std::path::PathBuf>> {
+    let found = chromium();
+    if found.is_none() {
+        let line = format!(
+            "skipped: {test}: there is no Chromium (Debian's package chromium, or LIMPID_CHROMIUM=PROGRAM)\n"
+        );
+        std::io::stderr().write_all(line.as_bytes())?;
+    }
+    Ok(found)
+}
+
+fn limpid(args: &[&str]) -> Outcome {
+    let ran = Command::new(env!("CARGO_BIN_EXE_limpid"))
+        .args(args)
+        .output()?;
+    assert!(
+        ran.status.success(),
+        "{args:?}: {}",
+        String::from_utf8_lossy(&ran.stderr)
+    );
+    Ok(())
+}
+
+/// A copy of a folder.
+fn copy(from: &Path, to: &Path) -> Outcome {
+    fs::create_dir_all(to)?;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        let to = to.join(entry.file_name());
+        if entry.file_type()?.is_dir() {
+            copy(&entry.path(), &to)?;
+        } else {
+            fs::copy(entry.path(), to)?;
+        }
+    }
+    Ok(())
+}
+
+/// The shortest run on the demo at half its size, moved into a scene with a hostile name.
+fn train(folder: &Path) -> Outcome<std::path::PathBuf> {
+    let scene = folder.join("<script>alert(1)<");
+    copy(Path::new(DEMO), &scene)?;
+    let out = folder.join("run");
+    let words = [
+        "--downscale",
+        "2",
+        "--iterations",
+        "200",
+        "--blur",
+        "camera",
+    ];
+    let [scene, to] = [&scene, &out].map(|path| path.to_str().expect("UTF-8"));
+    limpid(&[&["train", "--scene", scene, "--out", to][..], &words].concat())?;
+    Ok(out)
+}
+
+/// RGB of a view of the page's list at a time, row by row.
+fn picture(browser: &mut Browser, view: usize, time: f64, show: &str) -> Outcome<Vec<u8>> {
+    let code = format!(
+        "(() => {{ let text = ''; for (const byte of report.viewer.picture({view}, {time}, '{show}')) text += String.fromCharCode(byte); \
+         return btoa(text); }})()"
+    );
+    let encoded = browser.evaluate(&code)?;
+    let rgba = STANDARD.decode(encoded.as_str().ok_or("base64")?)?;
+    Ok(rgba
+        .chunks_exact(4)
+        .flat_map(|pixel| [pixel[0], pixel[1], pixel[2]])
+        .collect())
+}
+
+/// Mean difference of pictures in 8-bit units.
+fn difference(page: &[u8], renderer: &io::Image) -> f64 {
+    assert_eq!(page.len(), renderer.pixels.len(), "of one size");
+    let each = page.iter().zip(&renderer.pixels);
+    each.map(|(a, b)| (f64::from(*a) - 255.0 * f64::from(*b)).abs())
+        .sum::<f64>()
+        / page.len() as f64
+}
+
+/// Where the light of a picture of movers has its middle, px.
+fn centroid(rgb: &[u8], width: usize) -> [f64; 2] {
+    let mut sums = [0.0; 3];
+    for (i, pixel) in rgb.chunks_exact(3).enumerate() {
+        let light = pixel.iter().map(|v| f64::from(*v)).sum::<f64>();
+        sums[0] += light;
+        sums[1] += light * (i % width) as f64;
+        sums[2] += light * (i / width) as f64;
+    }
+    assert!(sums[0] > 0.0, "there is something to see");
+    [sums[1] / sums[0], sums[2] / sums[0]]
+}
+
+#[test]
+fn a_report_shows_what_the_renderer_renders_and_asks_no_network() -> Outcome {
+    let Some(program) = browser_or_word("the report in a browser")? else {
+        return Ok(());
+    };
+    let folder = tempfile::tempdir()?;
+    let out = train(folder.path())?;
+    let address = format!("file://{}#t=0", out.join("report.html").display());
+    let mut browser = Browser::open(&program, &address, [1000, 900])?;
+
+    // Right pixels at three times, each from the training and from the test camera of that time.
+    let count = browser
+        .evaluate("report.facts.train.length")?
+        .as_u64()
+        .ok_or("a number")? as usize;
+    assert_eq!(count, 16);
+    for index in [0, count / 2, count - 1] {
+        for (kind, view) in [("train", index), ("test", count + index)] {
+            let time = browser.evaluate(&format!("report.viewer.cameras[{view}].time"))?;
+            let shown = picture(&mut browser, view, time.as_f64().ok_or("a time")?, "both")?;
+            let rendered = io::read_image(&out.join(format!("renders/{kind}/{index:05}.png")))?;
+            let mean = difference(&shown, &rendered);
+            assert!(mean < MEAN_DIFFERENCE, "{kind} {index}: {mean:.2} of 255");
+            assert!(
+                rendered.pixels.iter().any(|v| *v > 0.2),
+                "a picture with light in it"
+            );
+        }
+    }
+    // A mover's centroid moves; what stands still does not, from the same camera.
+    let [early, late] = [0, count - 1].map(|time| picture(&mut browser, 0, time as f64, "movers"));
+    let [early, late] = [centroid(&early?, 80), centroid(&late?, 80)];
+    let moved = (early[0] - late[0]).hypot(early[1] - late[1]);
+    assert!(moved > 1.0, "from {early:?} to {late:?}");
+    let [early, late] = [0, count - 1].map(|time| picture(&mut browser, 0, time as f64, "static"));
+    assert_eq!(early?, late?);
+
+    // Time and view are in the address, and come back from it.
+    browser.evaluate(
+        "report.viewer.jump(3); report.viewer.controls.orbit(40, 10); report.viewer.setTime(5.25)",
+    )?;
+    browser.wait_for("location.hash.startsWith('#t=5.25&view=')")?;
+    let hash = browser.evaluate("location.hash")?;
+    let hash = hash.as_str().ok_or("text")?.to_owned();
+    let place = browser.evaluate("report.viewer.controls.place.center")?;
+    browser.evaluate("report.viewer.reset()")?;
+    browser.wait_for("location.hash === '#t=0&cam=follow'")?;
+    browser.evaluate(&format!("location.hash = '{hash}'"))?;
+    browser.wait_for("report.viewer.time === 5.25")?;
+    let again = browser.evaluate("report.viewer.controls.place.center")?;
+    for axis in 0..3 {
+        let [a, b] = [&place, &again].map(|center| center[axis].as_f64().unwrap_or(f64::NAN));
+        assert!((a - b).abs() < 1e-4, "{place} and {again}");
+    }
+
+    // It plays, the other parts are there, and the name is text.
+    let drawn = browser.evaluate("report.viewer.drawn")?;
+    browser.evaluate("report.viewer.follow(); report.viewer.play()")?;
+    browser.wait_for(&format!(
+        "report.viewer.time !== 5.25 && report.viewer.drawn > {drawn} + 3"
+    ))?;
+    browser.evaluate("report.viewer.pause()")?;
+    for holds in [
+        "document.querySelectorAll('#curves svg').length === 4",
+        "document.querySelectorAll('#tables tr.link').length === 32",
+        "document.querySelectorAll('#notes li').length > 2",
+        "document.getElementById('over').naturalWidth === 80",
+        "document.querySelectorAll('#blur svg circle').length > 10",
+        "document.getElementById('title').textContent === '<script>alert(1)<'",
+        // No element of the name's: facts, gallery, and the page's own; the splats' is gone once they are read.
+        "[...document.scripts].length === 3",
+    ] {
+        browser.wait_for(holds)?;
+    }
+    if let Some(folder) = std::env::var_os("LIMPID_SCREENSHOTS") {
+        let shot = browser.screenshot()?;
+        fs::write(Path::new(&folder).join("report.png"), shot)?;
+    }
+    assert!(browser.problems().is_empty(), "{:?}", browser.problems());
+    let requests = browser.requests();
+    assert!(
+        matches!(requests[..], [page] if page.starts_with("file://")),
+        "the page itself: {requests:?}"
+    );
+    Ok(())
+}
+
+/// A run that is shown, until it is dropped.
+struct Shown(std::process::Child);
+
+impl Drop for Shown {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+#[test]
+fn limpid_view_shows_a_run_without_a_report_and_splats_beside_the_page() -> Outcome {
+    let Some(program) = browser_or_word("limpid view in a browser")? else {
+        return Ok(());
+    };
+    let folder = tempfile::tempdir()?;
+    let out = train(folder.path())?;
+    let report = out.join("report.html");
+    fs::remove_file(&report)?;
+    let mut child = Command::new(env!("CARGO_BIN_EXE_limpid"))
+        .args(["view", "--no-open"])
+        .arg(&out)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()?;
+    let mut address = String::new();
+    BufReader::new(child.stdout.take().ok_or("piped")?).read_line(&mut address)?;
+    let _shown = Shown(child);
+    let address = address.trim();
+    assert!(address.starts_with("http://127.0.0.1:"), "{address}");
+
+    // A scene that is too large for one page has its splats beside it.
+    let html = fs::read_to_string(&report)?;
+    let open = r#"<script type="application/octet-stream" id="splats">"#;
+    let (before, rest) = html.split_once(open).ok_or("splats")?;
+    let (encoded, after) = rest.split_once("</script>").ok_or("an end")?;
+    let before = before.replace("connect-src 'none'", "connect-src 'self'");
+    let before = before.replace(
+        r#""scene_size":"#,
+        r#""side_file":"report.splats","scene_size":"#,
+    );
+    let large = format!("{before}{open}</script>{after}");
+    assert!(!encoded.is_empty() && large.contains("side_file"));
+    let shown_from = |html: &str, address: &str, beside: bool| -> Outcome<Vec<u8>> {
+        fs::write(&report, html)?;
+        if beside {
+            fs::write(out.join("report.splats"), STANDARD.decode(encoded)?)?;
+        }
+        let mut browser = Browser::open(&program, address, [700, 700])?;
+        let pixels = picture(&mut browser, 2, 2.5, "both")?;
+        assert!(browser.problems().is_empty(), "{:?}", browser.problems());
+        let requests = browser.requests();
+        let own = format!(
+            "http://{}/",
+            address
+                .trim_start_matches("http://")
+                .split('/')
+                .next()
+                .unwrap_or_default()
+        );
+        assert!(
+            requests.iter().all(|url| url.starts_with(&own)),
+            "{requests:?}"
+        );
+        assert_eq!(requests.len(), if beside { 2 } else { 1 }, "{requests:?}");
+        Ok(pixels)
+    };
+    let inside = shown_from(&html, &format!("{address}#t=0"), false)?;
+    let beside = shown_from(&large, &format!("{address}#t=0"), true)?;
+    assert!(inside == beside, "the same scene from both");
+
+    // From disk such a page says what to do.
+    let mut browser = Browser::open(
+        &program,
+        &format!("file://{}", report.display()),
+        [700, 700],
+    )?;
+    let message = browser.evaluate("document.getElementById('message').textContent")?;
+    assert!(
+        message
+            .as_str()
+            .is_some_and(|text| text.contains("limpid view")),
+        "{message}"
+    );
+    assert!(browser.problems().is_empty(), "{:?}", browser.problems());
+    Ok(())
+}
