@@ -152,6 +152,7 @@ mod tests {
             psnr: 20.0,
             view: "a".to_owned(),
             gaussians: 7,
+            decided: None,
         }
     }
 

@@ -52,6 +52,9 @@ impl Progress {
 
     /// After an iteration.
     pub(crate) fn show(&mut self, report: &StepReport) {
+        if let Some(decided) = &report.decided {
+            self.bar.suspend(|| say!("{decided}"));
+        }
         let StepReport {
             iteration,
             loss,

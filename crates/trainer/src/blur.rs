@@ -21,6 +21,7 @@ use crate::views::Views;
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor};
 use glam::DAffine3;
+pub(crate) use kernels::TABLE as KERNELS_TABLE;
 use kernels::{KernelSums, KernelTrace};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -49,6 +50,16 @@ pub(crate) enum Trace {
     Both(camera::CameraTrace, Box<KernelTrace>),
 }
 
+/// What [`BlurModel::revise`] did.
+#[derive(Default)]
+pub(crate) struct Revision {
+    /// Parameters with rows that are others now, and these rows.
+    pub(crate) changed: Vec<(Parameter, Vec<usize>)>,
+    /// The camera by itself leaves blur: where there are a lens and paths, each takes some of the other's, and neither comes out
+    /// right.
+    pub(crate) leaves_blur: bool,
+}
+
 /// What a model shows of a view.
 pub(crate) type Shown = look::Shown<Trace>;
 
@@ -73,10 +84,27 @@ impl BlurModel {
                 Self::Camera(Box::new(camera))
             }
             BlurKind::Both => {
-                let both = Both::new(settings, survey, views, options)?;
+                let camera = CameraBlur::new(settings, survey, views, options);
+                let both = Both::over(camera, settings, survey, views, options)?;
                 Self::Both(Box::new(both))
             }
         })
+    }
+
+    /// Puts untrained kernels over a camera that has none.
+    pub(crate) fn add_kernels(
+        &mut self,
+        settings: &Settings,
+        survey: &Survey,
+        views: &Views,
+        options: (&Device, DType),
+    ) -> Result<(), TrainError> {
+        if let Self::Camera(camera) = self {
+            let camera = (**camera).clone();
+            let both = Both::over(camera, settings, survey, views, options)?;
+            *self = Self::Both(Box::new(both));
+        }
+        Ok(())
     }
 
     /// The iterations after which something about it changes, its start first; none where blur is not modelled.
@@ -171,21 +199,23 @@ impl BlurModel {
         }
     }
 
-    /// Changes what gradients do not; `looks` are those at all training frames. Returns the parameters with rows that are
-    /// others now, and these rows.
+    /// Changes what gradients do not; `looks` are those at all training frames.
     pub(crate) fn revise(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
-    ) -> Result<Vec<(Parameter, Vec<usize>)>, TrainError> {
+    ) -> Result<Revision, TrainError> {
         let camera = match self {
-            Self::Off | Self::Kernels(_) => return Ok(Vec::new()),
+            Self::Off | Self::Kernels(_) => return Ok(Revision::default()),
             Self::Camera(camera) => camera,
             Self::Both(both) => &mut both.camera,
         };
-        let rows = camera.revise(world, looks)?;
+        let revised = camera.revise(world, looks)?;
         let paths = Parameter::new("camera.paths", Group::CameraPath);
-        Ok(vec![(paths, rows)])
+        Ok(Revision {
+            changed: vec![(paths, revised.frames)],
+            leaves_blur: revised.needs_both,
+        })
     }
 
     /// All parameters, to be replaced.

@@ -8,7 +8,7 @@
 //! The schedule, which follows from these, is made again on opening, and so are unseen views on going on.
 
 use crate::adam::{AdamState, Steps};
-use crate::blur::BlurModel;
+use crate::blur::{BlurModel, KERNELS_TABLE};
 use crate::changes::Change;
 use crate::checksum;
 use crate::corrections::Corrections;
@@ -19,7 +19,7 @@ use crate::model::Model;
 use crate::optimizer::Optimizer;
 use crate::plan::{Plan, schedule_of};
 use crate::run::Run;
-use crate::settings::{LEAST_ITERATIONS, Settings};
+use crate::settings::{BlurKind, LEAST_ITERATIONS, Settings};
 use crate::state::{Progress, State};
 use crate::survey::Survey;
 use crate::tensors::{host, tensor};
@@ -160,6 +160,11 @@ impl Run {
         let (settings, survey) = (&scheduled, &header.survey);
         let mut blur = BlurModel::new(settings, survey, &header.views, (&device, DType::F32))
             .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
+        // Where that was left to a trial, what the file holds says what it decided.
+        if settings.blur.model == BlurKind::Auto && file.tensor(KERNELS_TABLE).is_ok() {
+            blur.add_kernels(settings, survey, &header.views, (&device, DType::F32))
+                .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
+        }
         let mut corrections =
             Corrections::new(settings, survey, &header.views, (&device, DType::F32));
         let others = blur.parameters_mut();

@@ -10,12 +10,14 @@ use crate::model::Model;
 use crate::objective::Objective;
 use crate::optimizer::learning_rate;
 use crate::parameter::Parameter;
+use crate::plan::schedule_of;
 use crate::readings::Readings;
 use crate::run::Run;
+use crate::settings::{BlurKind, Settings};
 use crate::tensors::host;
 use crate::trainer::Trainer;
 use crate::views::ViewRef;
-use burn::tensor::{Gradients, Tensor};
+use burn::tensor::{DType, Gradients, Tensor};
 use host::count_not_finite;
 use tracing::trace_span;
 
@@ -34,6 +36,8 @@ pub struct StepReport {
     pub view: String,
     /// Number of Gaussians after the iteration.
     pub gaussians: usize,
+    /// What was decided before the iteration, and why, for people.
+    pub decided: Option<String>,
 }
 
 impl Trainer {
@@ -57,7 +61,7 @@ impl Trainer {
         }
         let it = self.iteration() + 1;
         // Before anything is stepped: after an error the state is whole.
-        self.change_blur(it - 1)?;
+        let decided = self.change_blur(it - 1)?;
         let Run {
             plan,
             state,
@@ -135,6 +139,7 @@ impl Trainer {
             psnr,
             view: name,
             gaussians: self.model().num_gaussians(),
+            decided,
         })
     }
 
@@ -153,11 +158,11 @@ impl Trainer {
         }
     }
 
-    /// Lets the blur model do what it does once `it` iterations are done.
-    fn change_blur(&mut self, it: usize) -> Result<(), TrainError> {
+    /// Lets the blur model do what it does once `it` iterations are done. Says what was decided of it.
+    fn change_blur(&mut self, it: usize) -> Result<Option<String>, TrainError> {
         let Self { run, data } = self;
         if !run.state.model.blur.revises(it) {
-            return Ok(());
+            return Ok(None);
         }
         let mut blur = run.state.model.blur.clone();
         let training = |frame| data.training_view(&run.plan.views, frame);
@@ -165,12 +170,20 @@ impl Trainer {
         let corrections = run.state.model.detached().corrections;
         let looks = views.iter().map(|view| run.look_at(view, it));
         let looks: Vec<_> = looks.map(|look| corrections.applied(&look)).collect();
-        let changed = blur.revise(&run.state.model.world, &looks)?;
+        let revision = blur.revise(&run.state.model.world, &looks)?;
         run.state.model.blur = blur;
-        for (parameter, rows) in changed {
+        for (parameter, rows) in revision.changed {
             run.state.optimizer.zero_rows(&parameter, &rows);
         }
-        Ok(())
+        if revision.leaves_blur && run.plan.settings.blur.model == BlurKind::Auto {
+            add_kernels(run)?;
+            return Ok(Some(
+                "the frames need a lens and paths, which take each other's blur: from half of the run on kernels explain what \
+                 they leave (`--blur camera` does without)"
+                    .to_owned(),
+            ));
+        }
+        Ok(None)
     }
 
     /// Says where a number that is not finite arose: goes back through each loss term by itself. Costs as many backward passes
@@ -214,6 +227,27 @@ impl Trainer {
         let problem = "not finite at first, but finite when computed again".to_owned();
         Ok(fault("all", None, problem))
     }
+}
+
+/// Puts kernels over the camera, and their moments into the schedule.
+fn add_kernels(run: &mut Run) -> Result<(), TrainError> {
+    let Run {
+        plan,
+        state,
+        device,
+        ..
+    } = run;
+    // A run that became longer has the moments of the one that was started.
+    let settings = Settings {
+        iterations: plan.schedule.iterations,
+        ..plan.settings.clone()
+    };
+    let options = (&*device, DType::F32);
+    let blur = &mut state.model.blur;
+    blur.add_kernels(&settings, &plan.survey, &plan.views, options)?;
+    let unseen = plan.schedule.unseen_from.is_some();
+    plan.schedule = schedule_of(&settings, &plan.views, &state.model, unseen);
+    Ok(())
 }
 
 /// Names the first parameter to which a loss gives a gradient that is not finite.

@@ -19,13 +19,14 @@ pub struct Both {
 }
 
 impl Both {
-    pub(super) fn new(
+    /// Untrained kernels over a camera.
+    pub(super) fn over(
+        camera: CameraBlur,
         settings: &Settings,
         survey: &Survey,
         views: &Views,
         options: (&Device, DType),
     ) -> Result<Self, TrainError> {
-        let camera = CameraBlur::new(settings, survey, views, options);
         let from = camera.settled().max(settings.iterations / 2);
         let kernels = Kernels::new(settings, survey.scene_size, views, from, options)?;
         Ok(Self { camera, kernels })

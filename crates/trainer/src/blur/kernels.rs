@@ -34,6 +34,9 @@ pub struct Kernels {
     scene_size: f64,
 }
 
+/// What a checkpoint holds of kernels beside their parameters: the gauge's table.
+pub(crate) const TABLE: &str = "gauge";
+
 /// Weights of its own terms.
 #[derive(Clone, Copy, Debug)]
 struct Weights {
@@ -266,7 +269,7 @@ impl Kernels {
     }
 
     pub(super) fn table(&self, device: &Device) -> (&'static str, Tensor<2>) {
-        ("gauge", self.gauge.to_tensor(device))
+        (TABLE, self.gauge.to_tensor(device))
     }
 
     pub(super) fn restore<E>(
@@ -275,7 +278,7 @@ impl Kernels {
     ) -> Result<(), E> {
         let [rows, columns] = self.gauge.cells;
         let shape = [self.net.num_frames(), 1 + 2 * rows * columns];
-        self.gauge = Gauge::from_tensor(self.gauge.cells, read("gauge", shape)?);
+        self.gauge = Gauge::from_tensor(self.gauge.cells, read(TABLE, shape)?);
         Ok(())
     }
 }

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BlurKind {
-    /// The camera where frames differ in sharpness, nothing where they do not.
+    /// Nothing where frames are alike in sharpness, else the camera; and kernels over it from half of the run on where its first
+    /// trial could do without neither lens nor paths.
     #[default]
     Auto,
     /// Nothing: frames are taken to be sharp.

@@ -17,16 +17,27 @@ const PATH_PAYS: f64 = 0.01;
 /// Gaussians have sharpened under what they were trained with, so that leaving it out always costs something: a lens 2 % where
 /// there is none, and from 10 % on where there is one.
 const PART_PAYS: f64 = 0.05;
+/// What lens and paths are worth at the first trial where frames have both: at least such a share of the error of all frames.
+/// (A lens where there is none 2 % at most, beside paths 5 and 9 %; paths where there are none 4 %, else 6 % and more.)
+const BOTH_ARE_THERE: [f64; 2] = [0.03, 0.1];
+
+/// What a trial came to.
+pub(in crate::blur) struct Revised {
+    /// Frames whose path changed.
+    pub(in crate::blur) frames: Vec<usize>,
+    /// The frames need a lens and paths.
+    pub(in crate::blur) needs_both: bool,
+}
 
 impl CameraBlur {
     /// Tries to do without the lens and without the paths, tries other paths on every frame, and in the end
     /// other apertures: what explains the frames best stays, and what does not pay goes for good. `looks` are those at all
-    /// training frames. Returns the frames whose path changed.
+    /// training frames.
     pub(in crate::blur) fn revise(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
-    ) -> Result<Vec<usize>, TrainError> {
+    ) -> Result<Revised, TrainError> {
         let _span = trace_span!("trials").entered();
         let world = world.detached();
         let it = looks.first().map(|look| look.iteration);
@@ -35,11 +46,11 @@ impl CameraBlur {
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
         }
-        let mut now = trial.try_parts(&world, looks)?;
+        let (mut now, worth) = trial.try_parts(&world, looks)?;
         if self.settings.lens && last {
             now = trial.try_apertures(&world, looks, now)?;
         }
-        let changed = trial.try_paths(&world, looks, &now, last)?;
+        let frames = trial.try_paths(&world, looks, &now, last)?;
         for ((_, own), (_, found)) in self
             .parameters_mut()
             .into_iter()
@@ -48,7 +59,12 @@ impl CameraBlur {
             *own = leaf(found.clone().inner(), true);
         }
         self.shared = None;
-        Ok(changed)
+        let first = self.moments.trials.first() == it.as_ref();
+        let are_there = worth.iter().zip(BOTH_ARE_THERE);
+        Ok(Revised {
+            frames,
+            needs_both: first && are_there.into_iter().all(|(worth, least)| *worth > least),
+        })
     }
 
     /// Leaves on every frame the path that explains it best; `now` are the frames' errors as it is. Says on which frames it is
@@ -128,25 +144,32 @@ impl CameraBlur {
         Ok(())
     }
 
-    /// Leaves the lens out if it does not pay, and then all paths; returns the frames' errors with what stays.
-    fn try_parts(&mut self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
+    /// Leaves the lens out if it does not pay, and then all paths; returns the frames' errors with what stays, and what share
+    /// of the error lens and paths were worth.
+    fn try_parts(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+    ) -> Result<(Vec<f64>, [f64; 2]), TrainError> {
         let mut now = self.errors(world, looks)?;
         type Part = fn(&mut Capture) -> &mut Tensor<2>;
         let parts: [Part; 2] = [|c| &mut c.aperture, |c| &mut c.paths];
-        for part in parts {
+        let mut worth = [0.0; 2];
+        for (part, worth) in parts.into_iter().zip(&mut worth) {
             let own = part(&mut self.capture).clone();
             if host(own.clone()).iter().all(|value| *value == 0.0) {
                 continue;
             }
             *part(&mut self.capture) = own.zeros_like();
             let without = self.errors(world, looks)?;
-            if total(&without) > (1.0 + PART_PAYS) * total(&now) {
+            *worth = total(&without) / total(&now) - 1.0;
+            if *worth > PART_PAYS {
                 *part(&mut self.capture) = own;
             } else {
                 now = without;
             }
         }
-        Ok(now)
+        Ok((now, worth))
     }
 
     /// Leaves a larger or smaller aperture if that pays; takes the frames' errors as it is, and returns them with what stays.
