@@ -23,7 +23,7 @@ const VERSION: u32 = 1;
 /// The most that a factor of f16 can be.
 const LARGEST: f32 = 65_504.0;
 
-/// Gaussians in the canonical frame, [N] rows each; colours coefficient-major.
+/// Gaussians in the canonical frame, `[N]` rows each; colours coefficient-major.
 pub(crate) struct Rows<'a> {
     pub(crate) means: &'a [[f32; 3]],
     pub(crate) quats: &'a [[f32; 4]],
