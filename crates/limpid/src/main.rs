@@ -2,19 +2,24 @@
 
 mod check;
 mod checkpoints;
+mod clip;
 mod config;
 mod devices;
 mod eval;
+mod export;
 mod failure;
 mod keys;
 mod lock;
 mod memory;
+mod moments;
+mod numbered;
 mod outputs;
 mod render;
 mod say;
 mod sheet;
 mod stop;
 mod train;
+mod video;
 
 use clap::{Parser, Subcommand};
 use failure::with_causes;
@@ -38,8 +43,10 @@ struct Arguments {
 enum Command {
     /// Train on a scene and write pictures, scores, a checkpoint and a PLY.
     Train(Box<train::TrainArguments>),
-    /// Render a trained scene again: pictures, and PLY files at any time.
+    /// Render a trained scene again: its views, any moment, or along a path.
     Render(render::RenderArguments),
+    /// Write a trained scene in formats that others read: PLY, glTF, SPZ, nerfstudio's and COLMAP's cameras.
+    Export(export::ExportArguments),
     /// Score a trained scene on its test views.
     Eval(eval::EvalArguments),
     /// Look whether a scene's files fit each other: exit code 0, 1 (doubtful) or 2 (wrong).
@@ -52,6 +59,7 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Train(arguments) => train::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
