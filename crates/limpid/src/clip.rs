@@ -114,7 +114,12 @@ pub(crate) fn render(
     }
     for (what, names) in &folders {
         let folder = out.join(what.name());
-        say!("{}: {} pictures", folder.display(), shots.len());
+        let size = run.survey().scene_size;
+        let grey = match what {
+            What::Depth => format!("; grey is S / (S + z), S = {size:.4} scene units"),
+            What::Color | What::Movers => String::new(),
+        };
+        say!("{}: {} pictures{grey}", folder.display(), shots.len());
         if *video {
             video::write(names, shots.len(), *fps, &folder.with_extension("mp4"))?;
         }

@@ -7,10 +7,9 @@ use crate::moments::{Moments, within};
 use crate::numbered::Numbered;
 use crate::say::say;
 use io::{ExportedView, Gaussians, Glb, GlbPart, RigidMotion, SparsePoint};
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use trainer::{RigidParts, Run};
+use trainer::Run;
 
 /// Arguments of `limpid export`.
 #[derive(Debug, clap::Args)]
@@ -40,16 +39,16 @@ pub(crate) struct ExportArguments {
         allow_negative_numbers = true
     )]
     fps: f64,
-    /// With glb: by how many pixels of the video a mover may be off where parts of it are taken to be rigid.
+    /// With glb: how near pictures of movers in rigid parts have to come to their own, in dB.
     #[arg(
         long,
-        value_name = "PX",
-        default_value_t = 0.5,
+        value_name = "DB",
+        default_value_t = 35.0,
         allow_negative_numbers = true
     )]
-    tolerance: f64,
+    fidelity: f64,
     /// With glb: rigid parts that movers are cut into at most.
-    #[arg(long, value_name = "N", default_value_t = 64)]
+    #[arg(long, value_name = "N", default_value_t = 256)]
     nodes: usize,
     /// Where tensors live [default: where they did in training].
     #[arg(long)]
@@ -215,47 +214,10 @@ fn still(name: &str, gaussians: Gaussians) -> GlbPart {
     }
 }
 
-/// How far movers are from where they should be, px.
-struct Deviation {
-    most: f64,
-    median: f64,
-    /// Of nine in ten, no more than this.
-    usual: f64,
-}
-
-impl Deviation {
-    fn of(rigid: &RigidParts) -> Self {
-        let off = &rigid.off_px;
-        let quantile = |q: f64| {
-            let last = off.len().saturating_sub(1);
-            off.get((q * last as f64) as usize).copied().unwrap_or(0.0)
-        };
-        Self {
-            most: quantile(1.0),
-            median: quantile(0.5),
-            usual: quantile(0.9),
-        }
-    }
-}
-
-impl fmt::Display for Deviation {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            most,
-            median,
-            usual,
-        } = self;
-        write!(
-            f,
-            "Gaussians are up to {most:.2} px off (half of them {median:.2} px at most, nine in ten {usual:.2} px)"
-        )
-    }
-}
-
-/// What stands still as one part, and movers as rigid ones; an error where they bend more than is taken.
+/// What stands still as one part, and movers as rigid ones; an error where that shows.
 fn moving(run: &Run, arguments: &ExportArguments) -> Result<Glb, Failure> {
     let ExportArguments {
-        tolerance,
+        fidelity,
         nodes,
         fps,
         ..
@@ -263,20 +225,17 @@ fn moving(run: &Run, arguments: &ExportArguments) -> Result<Glb, Failure> {
     if !(fps.is_finite() && fps > 0.0) {
         return Err(format!("--fps {fps}: a number over 0 is expected").into());
     }
-    if !(tolerance >= 0.0) {
-        return Err(
-            format!("--tolerance {tolerance}: a number of pixels, 0 or more, is expected").into(),
-        );
+    if fidelity.is_nan() {
+        return Err("--fidelity NaN: a number of decibels is expected".into());
     }
-    let rigid = run.rigid_parts(tolerance, nodes);
-    let deviation = Deviation::of(&rigid);
-    if deviation.most > tolerance {
+    let rigid = run.rigid_parts(fidelity, nodes)?;
+    if let Some(psnr) = rigid.psnr.filter(|psnr| *psnr < fidelity) {
         return Err(format!(
             "glb: movers bend. Every Gaussian has a motion of its own, blended of all bases, and glTF moves rigid parts alone: cut \
-             into {} of them, {deviation}. --tolerance {:.1} takes that, --nodes {} cuts finer, --at TIME writes one moment, and \
-             --format ply-sequence all of them as they are",
+             into {} of them, the scene comes within {psnr:.1} dB of its own pictures, and {fidelity} are asked for. --fidelity {} \
+             takes that, --nodes {} cuts finer, --at TIME writes one moment, and --format ply-sequence all of them as they are",
             rigid.parts.len(),
-            (10.0 * deviation.most).ceil() / 10.0,
+            psnr.floor(),
             4 * nodes.max(1),
         )
         .into());
@@ -294,8 +253,11 @@ fn moving(run: &Run, arguments: &ExportArguments) -> Result<Glb, Failure> {
             }),
         });
     }
-    if !rigid.parts.is_empty() {
-        say!("movers as {} rigid parts: {deviation}", rigid.parts.len());
+    if let Some(psnr) = rigid.psnr {
+        say!(
+            "movers as {} rigid parts: within {psnr:.1} dB of their own pictures",
+            rigid.parts.len()
+        );
     }
     let first = rigid.times.first().copied().unwrap_or(0.0);
     let seconds = rigid

@@ -48,6 +48,7 @@ mod cube;
 mod dynamics;
 mod error;
 mod gpu;
+mod grouping;
 mod inputs;
 mod lifting;
 mod look;

@@ -6,13 +6,16 @@ use splat_core::Gaussians;
 
 use crate::IoError;
 
-/// The sign that each spherical harmonic has when y and z change theirs, in the order of 3DGS.
-const SH_SIGNS: [f32; 16] = [
-    1.0, // 1
-    -1.0, -1.0, 1.0, // y, z, x
-    -1.0, 1.0, 1.0, -1.0, 1.0, // xy, yz, 2z² - x² - y², xz, x² - y²
-    -1.0, 1.0, -1.0, -1.0, 1.0, -1.0,
-    1.0, // y(…), xyz, y(…), z(…), x(…), z(…), x(…)
+/// Axes with y up, as signs of this project's (x right, y down, z forward): half a turn about one of them.
+pub(super) type Axes = [f32; 3];
+/// OpenGL's, where x is right and z is back.
+pub(super) const OPENGL: Axes = [1.0, -1.0, -1.0];
+/// glTF's, where x is left and z is forward.
+pub(super) const GLTF: Axes = [-1.0, -1.0, 1.0];
+
+/// In which coordinates each spherical harmonic is odd, in the order of 3DGS.
+const SH_ODD: [&str; 16] = [
+    "", "y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x",
 ];
 
 /// An error for arrays that do not fit each other, and for a number that is none, with its row.
@@ -44,28 +47,36 @@ pub(super) fn check(gaussians: &Gaussians, path: &Path) -> Result<(), IoError> {
     Ok(())
 }
 
-/// From the axes of cameras and of 3DGS's PLY (y down, z forward) to those of OpenGL (y up, z back): half a turn about x, which
-/// turns view-dependent colours too.
-pub(super) fn upright(gaussians: &Gaussians) -> Gaussians {
+/// Gaussians in other axes, view-dependent colours too.
+pub(super) fn turned(gaussians: &Gaussians, axes: Axes) -> Gaussians {
     let mut turned = gaussians.clone();
-    turned
-        .means
-        .iter_mut()
-        .for_each(|mean| *mean = upright_point(*mean));
-    // Half a turn before and behind: the one behind turns the ellipsoid into itself.
-    for [_, _, y, z] in &mut turned.quats {
-        (*y, *z) = (-*y, -*z);
+    for mean in &mut turned.means {
+        *mean = turned_point(*mean, axes);
     }
+    for quat in &mut turned.quats {
+        *quat = turned_quat(*quat, axes);
+    }
+    let odd = |letters: &str| {
+        let signs = ["x", "y", "z"].iter().zip(axes);
+        let odd = signs.filter(|(letter, _)| letters.contains(**letter));
+        odd.map(|(_, sign)| sign).product::<f32>()
+    };
+    let signs = SH_ODD.map(odd);
     let width = 3 * (turned.sh_degree + 1).pow(2);
     for (at, value) in turned.sh.iter_mut().enumerate() {
-        *value *= SH_SIGNS[at % width / 3];
+        *value *= signs[at % width / 3];
     }
     turned
 }
 
-/// A point or a translation, as [`upright`].
-pub(super) fn upright_point([x, y, z]: [f32; 3]) -> [f32; 3] {
-    [x, -y, -z]
+/// A point or a translation in other axes.
+pub(super) fn turned_point(point: [f32; 3], axes: Axes) -> [f32; 3] {
+    [0, 1, 2].map(|c| point[c] * axes[c])
+}
+
+/// A rotation (w, x, y, z) in other axes: half a turn before and behind. (The one before turns an ellipsoid into itself.)
+pub(super) fn turned_quat([w, x, y, z]: [f32; 4], axes: Axes) -> [f32; 4] {
+    [w, x * axes[0], y * axes[1], z * axes[2]]
 }
 
 /// Unit quaternion of one of any length; without a length, no rotation.
@@ -93,7 +104,7 @@ mod tests {
 
     /// Half a turn of scene and camera together changes no pixel, with colours of any degree.
     #[test]
-    fn an_upright_scene_looks_the_same_to_an_upright_camera() {
+    fn a_turned_scene_looks_the_same_to_a_turned_camera() {
         let mut seed = 0.3_f32;
         let mut number = || {
             seed = (seed * 97.31 + 0.17).fract();
@@ -114,7 +125,6 @@ mod tests {
         };
         let camera = Camera::pinhole([40, 30], [40.0, 40.0], [20.0, 15.0]);
         let pose = DAffine3::from_translation(DVec3::new(0.1, -0.2, 2.0));
-        let half_turn = DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)));
         let picture = |gaussians: &Gaussians, pose: &DAffine3| -> Vec<f32> {
             let view = View::new(&camera, pose, 3);
             let projected = project(&gaussians.slices(), &view).unwrap();
@@ -122,9 +132,13 @@ mod tests {
             raster.color().flatten().collect()
         };
         let before = picture(&gaussians, &pose);
-        let after = picture(&upright(&gaussians), &(pose * half_turn));
-        let difference = before.iter().zip(&after).map(|(a, b)| (a - b).abs());
         assert!(before.iter().any(|v| *v > 0.1), "something is seen");
-        assert!(difference.fold(0.0, f32::max) < 1e-4);
+        for axes in [OPENGL, GLTF] {
+            let half_turn = DMat3::from_diagonal(DVec3::from_array(axes.map(f64::from)));
+            let turned_pose = pose * DAffine3::from_mat3(half_turn);
+            let after = picture(&turned(&gaussians, axes), &turned_pose);
+            let difference = before.iter().zip(&after).map(|(a, b)| (a - b).abs());
+            assert!(difference.fold(0.0, f32::max) < 1e-4);
+        }
     }
 }

@@ -3,8 +3,8 @@
 //! Specifications: <https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html> (the container is its chapter 4) and
 //! `extensions/2.0/Khronos/KHR_gaussian_splatting/README.md` in <https://github.com/KhronosGroup/glTF>.
 //!
-//! - glTF has y up: positions, rotations and spherical harmonics are turned half a turn about x in the data, because not every
-//!   reader turns spherical harmonics with a node.
+//! - glTF has y up, x left and z forward: positions, rotations and spherical harmonics are turned half a turn about z in the data,
+//!   because not every reader turns spherical harmonics with a node.
 //! - Scales and opacities are what they are, not logarithms and logits; rotations are unit quaternions (x, y, z, w).
 //! - Colours are those of the pictures that were trained on: `srgb_rec709_display`.
 //! - `COLOR_0`, linear as in the base format, shows points to readers that do not know the extension.
@@ -16,7 +16,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 use splat_core::Gaussians;
 
-use super::gaussians::{check, opacity, unit_quat, upright, upright_point};
+use super::gaussians::{GLTF, check, opacity, turned, turned_point, turned_quat, unit_quat};
 use crate::{IoError, write_atomic};
 
 /// A degree-0 coefficient's share of the colour.
@@ -77,7 +77,7 @@ pub fn write_glb(path: &Path, glb: &Glb) -> Result<(), IoError> {
         let mut node = json!({ "name": part.name, "mesh": meshes.len() });
         meshes.push(json!({ "name": part.name, "primitives": [file.primitive(&part.gaussians)] }));
         if let (Some(motion), Some(input)) = (&part.motion, input) {
-            let (rotations, translations) = upright_motion(motion);
+            let (rotations, translations) = turned_motion(motion);
             // Where readers that play no animation leave it.
             node["rotation"] = json!(rotations[0]);
             node["translation"] = json!(translations[0]);
@@ -148,17 +148,20 @@ fn check_times(glb: &Glb, path: &Path) -> Result<(), IoError> {
 }
 
 /// Rotations (x, y, z, w) and translations in glTF's axes. Of the two quaternions of a rotation, the one nearer to the one before.
-fn upright_motion(motion: &RigidMotion) -> (Vec<[f32; 4]>, Vec<[f32; 3]>) {
+fn turned_motion(motion: &RigidMotion) -> (Vec<[f32; 4]>, Vec<[f32; 3]>) {
     let mut rotations: Vec<[f32; 4]> = Vec::with_capacity(motion.rotations.len());
     for quat in &motion.rotations {
-        let [w, x, y, z] = unit_quat(*quat);
-        let turned = [x, -y, -z, w];
+        let [w, x, y, z] = turned_quat(unit_quat(*quat), GLTF);
+        let turned = [x, y, z, w];
         let before = rotations.last().unwrap_or(&turned);
         let cosine: f32 = turned.iter().zip(before).map(|(a, b)| a * b).sum();
         rotations.push(turned.map(|v| if cosine < 0.0 { -v } else { v }));
     }
     let translations = motion.translations.iter();
-    (rotations, translations.map(|t| upright_point(*t)).collect())
+    (
+        rotations,
+        translations.map(|t| turned_point(*t, GLTF)).collect(),
+    )
 }
 
 /// The binary chunk, and what the JSON says of it.
@@ -212,12 +215,12 @@ impl File {
 
     /// A primitive of Gaussians, of which there is one or more.
     fn primitive(&mut self, gaussians: &Gaussians) -> Value {
-        let upright = upright(gaussians);
-        let n = upright.len();
+        let turned = turned(gaussians, GLTF);
+        let n = turned.len();
         let target = Some(ARRAY_BUFFER);
-        let position = self.floats("VEC3", upright.means.as_flattened(), target);
-        let mut range = [upright.means[0]; 2];
-        for mean in &upright.means {
+        let position = self.floats("VEC3", turned.means.as_flattened(), target);
+        let mut range = [turned.means[0]; 2];
+        for mean in &turned.means {
             for c in 0..3 {
                 range[0][c] = range[0][c].min(mean[c]);
                 range[1][c] = range[1][c].max(mean[c]);
@@ -226,7 +229,7 @@ impl File {
         self.accessors[position]["min"] = json!(range[0].map(f64::from));
         self.accessors[position]["max"] = json!(range[1].map(f64::from));
 
-        let rotations: Vec<[f32; 4]> = upright
+        let rotations: Vec<[f32; 4]> = turned
             .quats
             .iter()
             .map(|quat| {
@@ -234,16 +237,16 @@ impl File {
                 [x, y, z, w]
             })
             .collect();
-        let scales: Vec<f32> = upright
+        let scales: Vec<f32> = turned
             .log_scales
             .as_flattened()
             .iter()
             .map(|s| s.exp().min(f32::MAX))
             .collect();
-        let opacities: Vec<f32> = upright.opacity_logits.iter().map(|o| opacity(*o)).collect();
-        let num_sh = (upright.sh_degree + 1).pow(2);
+        let opacities: Vec<f32> = turned.opacity_logits.iter().map(|o| opacity(*o)).collect();
+        let num_sh = (turned.sh_degree + 1).pow(2);
         let mut colors = Vec::with_capacity(4 * n);
-        for (sh, opacity) in upright.sh.chunks_exact(3 * num_sh).zip(&opacities) {
+        for (sh, opacity) in turned.sh.chunks_exact(3 * num_sh).zip(&opacities) {
             let channels = [0, 1, 2].map(|c| linear(SH_C0 * sh[c] + 0.5));
             colors.extend(channels.map(to_u8));
             colors.push(to_u8(*opacity));
@@ -256,10 +259,10 @@ impl File {
             "KHR_gaussian_splatting:SCALE": self.floats("VEC3", &scales, target),
             "KHR_gaussian_splatting:OPACITY": self.floats("SCALAR", &opacities, target),
         });
-        for degree in 0..=upright.sh_degree {
+        for degree in 0..=turned.sh_degree {
             for order in 0..=2 * degree {
                 let k = degree * degree + order;
-                let values: Vec<f32> = upright
+                let values: Vec<f32> = turned
                     .sh
                     .chunks_exact(3 * num_sh)
                     .flat_map(|sh| [sh[3 * k], sh[3 * k + 1], sh[3 * k + 2]])

@@ -4,6 +4,9 @@ use crate::made::{axes_differ, extreme, gaussians, refuses_what_is_no_number, sh
 use io::{Gaussians, Glb, GlbPart, IoError, RigidMotion, write_glb};
 use serde_json::Value;
 
+/// y up, x left, z forward.
+const UP: [f32; 3] = [-1.0, -1.0, 1.0];
+
 struct File {
     json: Value,
     bytes: Vec<u8>,
@@ -99,11 +102,11 @@ fn every_number_is_there_in_gltf_s_units_and_axes() {
         let width = 3 * (degree + 1).pow(2);
         for i in 0..n {
             let [x, y, z] = all.means[i];
-            assert_eq!(positions[i], [x, -y, -z]);
+            assert_eq!(positions[i], [-x, -y, z]);
             let [qx, qy, qz, qw] = rotations[i];
             let length: f32 = rotations[i].iter().map(|v| v * v).sum();
             assert!((length - 1.0).abs() < 1e-6);
-            assert!(axes_differ([qw, qx, qy, qz], all.quats[i]) < 1e-6);
+            assert!(axes_differ([qw, qx, qy, qz], all.quats[i], UP) < 1e-6);
             for c in 0..3 {
                 assert!((scales[i][c] / all.log_scales[i][c].exp() - 1.0).abs() < 1e-6);
             }
@@ -114,7 +117,8 @@ fn every_number_is_there_in_gltf_s_units_and_axes() {
                 let k = l * l + m;
                 let found = file.attribute::<3>(0, &own(&format!("SH_DEGREE_{l}_COEF_{m}")));
                 for i in 0..n {
-                    let expected = [0, 1, 2].map(|c| sh_sign(k) * all.sh[i * width + 3 * k + c]);
+                    let expected =
+                        [0, 1, 2].map(|c| sh_sign(k, UP) * all.sh[i * width + 3 * k + c]);
                     assert_eq!(found[i], expected, "degree {l}, {m}");
                 }
             }
@@ -203,7 +207,7 @@ fn a_part_that_moves_is_where_it_should_be() {
         for i in 0..20 {
             let found = apply([w, x, y, z], translations[t], positions[i]);
             let [ex, ey, ez] = apply(motion.rotations[t], motion.translations[t], moved.means[i]);
-            for (found, expected) in found.into_iter().zip([ex, -ey, -ez]) {
+            for (found, expected) in found.into_iter().zip([-ex, -ey, ez]) {
                 assert!((found - expected).abs() < 1e-4, "{found} {expected}");
             }
         }

@@ -111,9 +111,9 @@ pub(crate) fn rotation([w, x, y, z]: [f32; 4]) -> [[f32; 3]; 3] {
     ]
 }
 
-/// The largest difference between the ellipsoids' axes of a stored rotation (y up) and of a Gaussian's own (y down), as lines: to
-/// go the other way along an axis is the same ellipsoid.
-pub(crate) fn axes_differ(stored: [f32; 4], own: [f32; 4]) -> f32 {
+/// The largest difference between the ellipsoids' axes of a stored rotation, in axes of these signs, and of a Gaussian's own, as
+/// lines: to go the other way along an axis is the same ellipsoid.
+pub(crate) fn axes_differ(stored: [f32; 4], own: [f32; 4], up: [f32; 3]) -> f32 {
     let length = own
         .iter()
         .map(|v| f64::from(*v).powi(2))
@@ -121,7 +121,6 @@ pub(crate) fn axes_differ(stored: [f32; 4], own: [f32; 4]) -> f32 {
         .sqrt();
     let own = rotation(own.map(|v| (f64::from(v) / length) as f32));
     let stored = rotation(stored);
-    let up = [1.0, -1.0, -1.0];
     let differ = |axis: usize| {
         let difference = |sign: f32| {
             let of = |row: usize| (stored[row][axis] - sign * up[row] * own[row][axis]).abs();
@@ -136,12 +135,12 @@ pub(crate) fn sigmoid(logit: f32) -> f32 {
     1.0 / (1.0 + (-logit).exp())
 }
 
-/// The sign of a coefficient under half a turn about x: by the parity of its polynomial in y and z.
-pub(crate) fn sh_sign(k: usize) -> f32 {
+/// The sign of a coefficient in axes of these signs: by the powers of its polynomial.
+pub(crate) fn sh_sign(k: usize, axes: [f32; 3]) -> f32 {
     let polynomials = [
         "", "y", "z", "x", "xy", "yz", "zz", "xz", "xx", "xxy", "xyz", "yzz", "zzz", "xzz", "xxz",
         "xxx",
     ];
-    let odd = polynomials[k].bytes().filter(|c| *c != b'x').count() % 2;
-    if odd == 1 { -1.0 } else { 1.0 }
+    let powers = polynomials[k].bytes();
+    powers.map(|c| axes[usize::from(c - b'x')]).product()
 }

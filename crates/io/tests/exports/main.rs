@@ -4,6 +4,10 @@
     clippy::unwrap_used,
     reason = "a test that cannot make its input has failed"
 )]
+#![expect(
+    clippy::missing_assert_message,
+    reason = "a reader's assertions are the specification's words"
+)]
 
 mod cameras;
 mod glb;
