@@ -1,4 +1,4 @@
-//! Files: datasets in; images, PLY and JSON out.
+//! Files: datasets in; images, JSON, and scenes and cameras in formats that others read out.
 //!
 //! [`Scene::open`] recognises a folder by its content (Shape-of-Motion's layout or nerfstudio's
 //! `transforms.json`) and hands out frames, cameras, times and whatever of depth, masks and tracks
@@ -14,8 +14,10 @@ mod bytes;
 mod camera_model;
 mod colmap;
 mod error;
+mod export;
 mod folder;
 mod json;
+mod key_frames;
 mod layouts;
 mod load;
 mod notes;
@@ -31,11 +33,17 @@ mod truth;
 
 pub use atomic::{unfinished, write_atomic, write_atomic_keeping, write_json};
 pub use error::IoError;
+pub use export::{
+    ExportedView, Glb, GlbPart, RigidMotion, SpzLoss, write_colmap, write_glb, write_spz,
+    write_transforms,
+};
 pub use glam;
 pub use json::{parse_json, read_json};
+pub use key_frames::{KeyFrame, read_key_frames};
 pub use picture::{Image, Map, encode_jpeg, read_image, read_map, write_map_png, write_png};
-pub use ply::{read_ply, write_ply};
+pub use ply::{read_ply, write_ply, write_points_ply};
 pub use resample::shrink_image;
 pub use scene::{Frame, LoadOptions, Scene, SparsePoint, View};
+pub use splat_core::Gaussians;
 pub use tracks::{QueryTracks, TrackSample, Tracks};
 pub use truth::Truth;

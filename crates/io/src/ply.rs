@@ -62,6 +62,41 @@ pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), IoError> {
     })
 }
 
+/// Writes points as binary little-endian PLY, atomically: x, y, z and 8-bit red, green, blue, as nerfstudio reads them.
+///
+/// # Errors
+/// [`IoError::NotANumber`], [`IoError::Access`].
+pub fn write_points_ply(path: &Path, points: &[SparsePoint]) -> Result<(), IoError> {
+    if let Some(at) = points.iter().position(|p| !p.position.is_finite()) {
+        return Err(IoError::not_a_number(
+            path,
+            format!("point {at}"),
+            "leave it out",
+        ));
+    }
+    let mut header = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n",
+        points.len()
+    );
+    for axis in ["x", "y", "z"] {
+        header.push_str(&format!("property float {axis}\n"));
+    }
+    for channel in ["red", "green", "blue"] {
+        header.push_str(&format!("property uchar {channel}\n"));
+    }
+    header.push_str("end_header\n");
+    write_atomic(path, |out| {
+        out.write_all(header.as_bytes())?;
+        for point in points {
+            for v in point.position.as_vec3().to_array() {
+                out.write_all(&v.to_le_bytes())?;
+            }
+            out.write_all(&point.color_bytes())?;
+        }
+        Ok(())
+    })
+}
+
 /// The 3DGS property names, in the order that its own writer has.
 fn property_names(sh_degree: usize) -> Vec<String> {
     let num_rest = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);

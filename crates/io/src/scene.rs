@@ -40,6 +40,13 @@ pub struct SparsePoint {
     pub color: [f32; 3],
 }
 
+impl SparsePoint {
+    /// The colour in 8 bits a channel, rounded and clamped.
+    pub(crate) fn color_bytes(&self) -> [u8; 3] {
+        self.color.map(|c| (255.0 * c).round() as u8)
+    }
+}
+
 /// A picture with its camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {

@@ -2,26 +2,33 @@
 
 mod check;
 mod checkpoints;
+mod clip;
 mod config;
 mod devices;
 mod eval;
+mod export;
 mod failure;
 mod keys;
 mod lock;
 mod log;
 mod memory;
+mod moments;
+mod numbered;
 mod outputs;
 mod progress;
 mod render;
 mod report;
 mod say;
 mod serve;
+mod settings;
 mod sheet;
 mod stop;
 mod train;
+mod version;
+mod video;
 mod view;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use failure::with_causes;
 use say::say;
 use std::process::ExitCode;
@@ -33,8 +40,11 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Limpid turns one blurry handheld video into a sharp 3D scene that moves.
 #[derive(Debug, Parser)]
-#[command(name = "limpid", version)]
+#[command(name = "limpid", version = version::long())]
 struct Arguments {
+    /// Work with so many threads [default: as many as the machine runs at once]. Results do not depend on it.
+    #[arg(long, value_name = "N", global = true, value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
     #[command(subcommand)]
     command: Command,
 }
@@ -43,8 +53,10 @@ struct Arguments {
 enum Command {
     /// Train on a scene and write pictures, scores, a checkpoint and a PLY.
     Train(Box<train::TrainArguments>),
-    /// Render a trained scene again: pictures, and PLY files at any time.
+    /// Render a trained scene again: its views, any moment, or along a path.
     Render(render::RenderArguments),
+    /// Write a trained scene in formats that others read: PLY, glTF, SPZ, nerfstudio's and COLMAP's cameras.
+    Export(export::ExportArguments),
     /// Score a trained scene on its test views.
     Eval(eval::EvalArguments),
     /// Look whether a scene's files fit each other: exit code 0, 1 (doubtful) or 2 (wrong).
@@ -53,16 +65,34 @@ enum Command {
     View(view::ViewArguments),
     /// List what tensors can live on, and whether a scene fits.
     Devices(devices::DevicesArguments),
+    /// List every setting that --set and config files take: its default, its range and what it means.
+    Settings(settings::SettingsArguments),
+    /// Write what a shell needs to complete this program's arguments, to its standard output.
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
 }
 
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
+    let Arguments { threads, command } = Arguments::parse();
+    if let Some(threads) = threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads));
+        if let Err(problem) = pool.build_global() {
+            say!("limpid: --threads {threads}: {problem}");
+            return ExitCode::FAILURE;
+        }
+    }
+    let result = match command {
         Command::Train(arguments) => train::run(&arguments),
         Command::Render(arguments) => render::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
         Command::View(arguments) => view::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
+        Command::Settings(arguments) => settings::run(&arguments),
+        Command::Completions { shell } => completions(shell),
     };
     match result {
         Ok(code) => code,
@@ -71,4 +101,11 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+fn completions(shell: clap_complete::Shell) -> Result<ExitCode, failure::Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "limpid", &mut script);
+    say::print(String::from_utf8(script)?.trim_end())?;
+    Ok(ExitCode::SUCCESS)
 }

@@ -1,13 +1,15 @@
 //! `limpid render`.
 
 use crate::checkpoints;
+use crate::clip::{self, ClipArguments};
 use crate::config::{Backend, Config};
 use crate::failure::Failure;
+use crate::moments::within;
 use crate::outputs;
 use crate::say::say;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use trainer::{Run, Shot};
+use trainer::Shot;
 
 /// Arguments of `limpid render`.
 #[derive(Debug, clap::Args)]
@@ -20,18 +22,12 @@ pub(crate) struct RenderArguments {
     /// Where tensors live [default: where they did in training].
     #[arg(long)]
     backend: Option<Backend>,
-    /// Folder for the pictures and PLY files [default: RUN/renders].
+    /// Folder for the pictures [default: RUN/renders].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Write the scene at this time (training frames, may be fractional) as PLY instead of pictures; may be given more than once.
-    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
-    ply_at: Vec<f32>,
-    /// Write the scene at every training frame as a numbered PLY sequence (`ply/frame_0000.ply` …) instead of pictures.
-    #[arg(long)]
-    ply_sequence: bool,
     /// Take a picture at this time (training frames, may be fractional), from where the camera was then, instead of all
     /// pictures; may be given more than once. Sharp unless --shutter or --aperture says otherwise.
-    #[arg(long, value_name = "TIME", allow_negative_numbers = true, conflicts_with_all = ["ply_at", "ply_sequence"])]
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     at: Vec<f32>,
     /// With --at: the shutter is open for so many training frames.
     #[arg(long, value_name = "FRAMES", requires = "at", default_value_t = 0.0)]
@@ -45,16 +41,17 @@ pub(crate) struct RenderArguments {
     /// With --at: renders that a blurred picture is averaged from.
     #[arg(long, value_name = "N", requires = "at", default_value_t = 64)]
     samples: usize,
+    #[command(flatten)]
+    clip: ClipArguments,
 }
 
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
     let config = Config::of_run(&arguments.run)?.on(arguments.backend);
     let run = checkpoints::open(&arguments.run, &config)?;
-    for (flag, times) in [("--at", &arguments.at), ("--ply-at", &arguments.ply_at)] {
-        times
-            .iter()
-            .try_for_each(|time| within(&run, flag, *time))?;
-    }
+    arguments
+        .at
+        .iter()
+        .try_for_each(|time| within(&run, "--at", *time))?;
     let out = arguments
         .out
         .clone()
@@ -73,39 +70,12 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
             &run.render_shot(&shot)?,
         )?;
     }
-    let pictures = arguments.at.is_empty() && arguments.ply_at.is_empty();
-    if pictures && !arguments.ply_sequence {
+    if let Some(path) = &arguments.clip.path {
+        clip::render(&run, path, &arguments.clip, &out)?;
+    } else if arguments.at.is_empty() {
         let scene = outputs::frames(&run, &config, arguments.scene.as_deref())?;
         outputs::write_renders(&run, scene.as_ref(), &out)?;
     }
-    let model = run.model();
-    for &time in &arguments.ply_at {
-        io::write_ply(
-            &out.join(format!("scene_at_{time}.ply")),
-            &model.gaussians(Some(time)),
-        )?;
-    }
-    if arguments.ply_sequence {
-        // A folder of its own: viewers take a folder with nothing but numbered PLY files as a sequence.
-        let folder = out.join("ply");
-        std::fs::create_dir_all(&folder).map_err(|e| format!("{e}: {}", folder.display()))?;
-        for (index, view) in run.views().train.iter().enumerate() {
-            let path = folder.join(format!("frame_{index:04}.ply"));
-            io::write_ply(&path, &model.gaussians(Some(view.time)))?;
-        }
-    }
     say!("written to {}", out.display());
     Ok(ExitCode::SUCCESS)
-}
-
-/// An error for a time outside of the video, where nothing is known of the scene.
-fn within(run: &Run, flag: &str, time: f32) -> Result<(), Failure> {
-    let views = run.views().train.iter();
-    let (from, to) = views.fold((f32::INFINITY, f32::NEG_INFINITY), |(from, to), view| {
-        (from.min(view.time), to.max(view.time))
-    });
-    if time >= from && time <= to {
-        return Ok(());
-    }
-    Err(format!("{flag} {time}: the video goes from {from} to {to}, in training frames").into())
 }

@@ -143,10 +143,13 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
     assert!(json["test"]["psnr"].as_f64() > Some(10.0), "{json}");
 
     for time in ["-1", "1000", "NaN"] {
-        for flag in ["--ply-at", "--at"] {
-            let refused = output(&["render", path(&out), flag, time])?;
+        let export = ["export", path(&out), "--format", "ply", "--at", time];
+        let freeze = ["render", path(&out), "--path", "ellipse", "--freeze", time];
+        for command in [&["render", path(&out), "--at", time][..], &export, &freeze] {
+            let refused = output(command)?;
             let said = text(&refused.stderr);
-            assert!(!refused.status.success(), "{flag} {time}");
+            assert!(!refused.status.success(), "{command:?}");
+            let flag = command[command.len() - 2];
             assert!(said.contains(flag) && said.contains("from 0 to"), "{said}");
         }
     }

@@ -14,7 +14,7 @@ use crate::tensors::host;
 use crate::views::{CameraView, ViewRef, Views};
 use burn::tensor::{Device, Tensor};
 use glam::DAffine3;
-use io::Image;
+use io::{Image, Map};
 use splat_core::Camera;
 
 /// A run at some iteration.
@@ -37,6 +37,20 @@ pub struct TrainingView {
     /// How it was blurred; `None` where blur is not modelled, or not yet.
     pub blur: Option<ViewBlur>,
 }
+
+/// What a sharp camera sees.
+#[derive(Clone, Debug)]
+pub struct Layers {
+    /// The picture.
+    pub color: Image,
+    /// z-depth in scene units where something is seen (the mean over what is), 0 where nothing is.
+    pub depth: Map,
+    /// The movers' share of each pixel, 0 to 1; `None` where nothing moves.
+    pub movers: Option<Map>,
+}
+
+/// A pixel that holds back less than this share of the light shows nothing that has a depth.
+const SEEN: f32 = 0.05;
 
 impl Run {
     /// The settings of this run.
@@ -127,6 +141,30 @@ impl Run {
             time,
         };
         self.render_viewpoint(&viewpoint)
+    }
+
+    /// The same, with depth and the movers' share.
+    ///
+    /// # Errors
+    /// The renderer refuses its input.
+    pub fn render_layers(&self, viewpoint: &CameraView) -> Result<Layers, TrainError> {
+        let model = self.state.model.detached();
+        let shown = model.show(&self.look(viewpoint, self.iteration()), None)?;
+        let rendered = &shown.rendered;
+        let color = to_image(rendered.color());
+        let map = |values: Vec<f32>| Map {
+            width: color.width,
+            height: color.height,
+            values,
+        };
+        let seen = host(rendered.alpha());
+        let depth = host(rendered.depth()).into_iter().zip(seen);
+        let depth = depth.map(|(depth, seen)| if seen > SEEN { depth / seen } else { 0.0 });
+        Ok(Layers {
+            depth: map(depth.collect()),
+            movers: rendered.features().map(|movers| map(host(movers))),
+            color,
+        })
     }
 
     /// The same from a viewpoint of [`Self::views`].

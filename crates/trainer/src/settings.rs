@@ -1,11 +1,13 @@
 //! Everything that can be chosen about a training run, with its default.
 
 mod blur;
+mod meanings;
 mod ranges;
 
 pub(crate) use ranges::LEAST_ITERATIONS;
 
 pub use blur::{BlurKind, BlurSettings, CameraSettings, TransferKind};
+pub use meanings::Meaning;
 
 use serde::{Deserialize, Serialize};
 

@@ -252,18 +252,22 @@ impl World {
         })
     }
 
+    /// Means, and rows of the rotations from the canonical frame, of the dynamic Gaussians at a time (training frames, may be
+    /// fractional), `[F]` each; `None` where nothing moves.
+    pub(crate) fn motions(&self, time: f32) -> Option<(Vec<[f32; 3]>, Vec<[f64; 9]>)> {
+        let (moved, rotations) = self.detached().moved_at(time)?;
+        let rotations = rows::<9>(&rotations.reshape([self.num_dynamic, 9]));
+        let rotations = rotations.iter().map(|r| r.map(f64::from)).collect();
+        Some((rows::<3>(&moved), rotations))
+    }
+
     /// Plain arrays for a file: the scene at a time, or the canonical scene.
     #[must_use]
     pub fn gaussians(&self, time: Option<f32>) -> Gaussians {
         let mut means = rows::<3>(&self.means);
         let mut quats = rows::<4>(&self.quats);
-        if let Some((moved, rotations)) = time.and_then(|t| self.detached().moved_at(t)) {
-            let moved = rows::<3>(&moved);
+        if let Some((moved, rotations)) = time.and_then(|t| self.motions(t)) {
             means[..moved.len()].copy_from_slice(&moved);
-            let rotations: Vec<[f64; 9]> = rows::<9>(&rotations.reshape([self.num_dynamic, 9]))
-                .iter()
-                .map(|r| r.map(f64::from))
-                .collect();
             quats = quats_of_posed(&rotations, &quats);
         }
         Gaussians {

@@ -65,7 +65,7 @@ pub fn perpendicular_pose(a: &DAffine3, b: &DAffine3, offset: f64) -> DAffine3 {
 }
 
 /// The unit vector along `v`, unless `v` is too short to have a direction.
-fn unit(v: DVec3) -> Option<DVec3> {
+pub(crate) fn unit(v: DVec3) -> Option<DVec3> {
     let length = v.length();
     (length.is_finite() && length > MIN_AXIS).then(|| v / length)
 }

@@ -3,6 +3,14 @@
 use super::{Settings, TransferKind};
 use crate::TrainError;
 
+/// What a setting may be.
+pub(super) struct Range {
+    pub(super) key: &'static str,
+    /// In words behind "must be".
+    pub(super) allowed: &'static str,
+    pub(super) holds: bool,
+}
+
 /// The shortest run.
 pub(crate) const LEAST_ITERATIONS: usize = 200;
 
@@ -12,72 +20,83 @@ impl Settings {
     /// # Errors
     /// Names the first setting that is out of its range, and the range.
     pub fn validate(&self) -> Result<(), TrainError> {
-        let check = |ok: bool, key: &str, allowed: &str| {
-            if ok {
-                Ok(())
-            } else {
+        match self.ranges().into_iter().find(|range| !range.holds) {
+            None => Ok(()),
+            Some(Range { key, allowed, .. }) => {
                 Err(TrainError::setting(key, format!("must be {allowed}")))
             }
+        }
+    }
+
+    /// All ranges, and whether each holds here.
+    pub(super) fn ranges(&self) -> Vec<Range> {
+        let mut ranges = Vec::new();
+        let mut check = |holds, key, allowed| {
+            ranges.push(Range {
+                key,
+                allowed,
+                holds,
+            });
         };
         check(
             self.iterations >= LEAST_ITERATIONS,
             "iterations",
             "200 or more (a shorter run has no room for the schedule)",
-        )?;
+        );
         let g = &self.gaussians;
-        check(g.sh_degree <= 3, "gaussians.sh_degree", "0 to 3")?;
+        check(g.sh_degree <= 3, "gaussians.sh_degree", "0 to 3");
         check(
             g.sh_degree_every > 0,
             "gaussians.sh_degree_every",
             "positive",
-        )?;
-        check(g.control_every > 0, "gaussians.control_every", "positive")?;
+        );
+        check(g.control_every > 0, "gaussians.control_every", "positive");
         check(
             g.max_initial_static > 0,
             "gaussians.max_initial_static",
             "positive",
-        )?;
+        );
         check(
             g.initial_opacity > 0.0 && g.initial_opacity < 1.0,
             "gaussians.initial_opacity",
             "between 0 and 1, both excluded",
-        )?;
+        );
         check(
             (0.0..1.0).contains(&g.prune_opacity),
             "gaussians.prune_opacity",
             "0 or more and under 1",
-        )?;
+        );
         check(
             (0.0..=256.0).contains(&g.mask_margin),
             "gaussians.mask_margin",
             "0 to 256 (pixels of a picture 256 wide)",
-        )?;
+        );
         let k = self.blur.kernel_size;
-        check(k % 2 == 1 && k <= 15, "blur.kernel_size", "odd, 1 to 15")?;
+        check(k % 2 == 1 && k <= 15, "blur.kernel_size", "odd, 1 to 15");
         check(
             (1..=bpnet::MAX_DOWNSCALE).contains(&self.blur.downscale),
             "blur.downscale",
             "1 to 4",
-        )?;
+        );
         check(
             self.blur.gauge_cells.iter().all(|n| (1..=64).contains(n)),
             "blur.gauge_cells",
             "two numbers, 1 to 64",
-        )?;
+        );
         let c = &self.camera;
         check(
             (1..=3).contains(&c.path_degree),
             "camera.path_degree",
             "1 to 3",
-        )?;
-        check((2..=64).contains(&c.samples), "camera.samples", "2 to 64")?;
+        );
+        check((2..=64).contains(&c.samples), "camera.samples", "2 to 64");
         if let TransferKind::Power(gamma) = c.transfer {
             let key = "camera.transfer.power";
-            check((1.0..=4.0).contains(&gamma), key, "1 to 4")?;
+            check((1.0..=4.0).contains(&gamma), key, "1 to 4");
         }
-        check(self.motion.num_bases > 0, "motion.num_bases", "positive")?;
-        check(self.unseen.every > 0, "unseen.every", "positive")?;
-        check(self.loss.ssim <= 1.0, "loss.ssim", "0 to 1")?;
+        check(self.motion.num_bases > 0, "motion.num_bases", "positive");
+        check(self.unseen.every > 0, "unseen.every", "positive");
+        check(self.loss.ssim <= 1.0, "loss.ssim", "0 to 1");
         let l = &self.learning_rates;
         let positive = [
             (
@@ -102,7 +121,7 @@ impl Settings {
             (l.camera_final_share, "learning_rates.camera_final_share"),
         ];
         for (value, key) in positive {
-            check(value.is_finite() && value > 0.0, key, "a positive number")?;
+            check(value.is_finite() && value > 0.0, key, "a positive number");
         }
         let w = &self.loss;
         let not_negative = [
@@ -147,9 +166,9 @@ impl Settings {
                 value.is_finite() && value >= 0.0,
                 key,
                 "zero or a positive number",
-            )?;
+            );
         }
-        Ok(())
+        ranges
     }
 }
 
