@@ -80,6 +80,16 @@ impl What {
     }
 }
 
+impl ClipArguments {
+    /// An error for moments that no path asks for.
+    pub(crate) fn check(&self) -> Result<(), Failure> {
+        if self.path.is_none() && self.moments.are_given() {
+            return Err("--from, --to and --step go with --path".into());
+        }
+        Ok(())
+    }
+}
+
 /// Most pictures of a clip.
 const MOST: f64 = 100_000.0;
 
@@ -178,6 +188,9 @@ fn shots(
         .to_str()
         .filter(|name| ["cameras", "ellipse", "spiral"].contains(name));
     let Some(name) = named else {
+        if moments.are_given() || *reach != 1.0 {
+            return Err("--from, --to, --step and --reach go with the paths by name: key frames have their own times and places".into());
+        }
         let name = path.file_stem().and_then(OsStr::to_str).unwrap_or("path");
         return Ok((name.to_owned(), key_frames(run, path, *freeze, *fps)?));
     };

@@ -26,6 +26,11 @@ pub(crate) struct Moments {
 }
 
 impl Moments {
+    /// Whether any was asked for.
+    pub(crate) fn are_given(&self) -> bool {
+        self.from.is_some() || self.to.is_some() || self.step != 1.0
+    }
+
     /// All of them, of which there is at least one.
     pub(crate) fn of(&self, run: &Run) -> Result<Vec<f32>, Failure> {
         let (first, last) = range(run);

@@ -46,6 +46,7 @@ pub(crate) struct RenderArguments {
 }
 
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
+    arguments.clip.check()?;
     let config = Config::of_run(&arguments.run)?.on(arguments.backend);
     let run = checkpoints::open(&arguments.run, &config)?;
     arguments

@@ -279,6 +279,8 @@ fn paths(run: &Path) -> Outcome {
     fs::write(&keys, format!(r#"{{"keyframes": [{}]}}"#, key(0, 99)))?;
     for (arguments, why) in [
         (["--path", utf8(&keys), "--fps", "24"], "key frame 0"),
+        (["--step", "2", "--from", "1"], "go with --path"),
+        (["--path", utf8(&keys), "--step", "2"], "paths by name"),
         (
             ["--path", "circle", "--fps", "24"],
             "cameras, ellipse and spiral",

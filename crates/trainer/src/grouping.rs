@@ -189,10 +189,8 @@ mod tests {
         let bend = |i: usize| [0.0, 1.0, 2.0].map(|t| turn(0.01 * t * i as f64, 0.1 * t));
         let (movers, posed) = scene(&(0..24).map(bend).collect::<Vec<_>>());
         let off = [1, 6, 24].map(|wanted| grown(wanted, &movers, &posed).1);
-        assert!(
-            off[0] > 10.0 && off[1] < 0.5 * off[0] && off[2] < 1e-6,
-            "{off:?}"
-        );
+        let nearer = off[1] < 0.1 * off[0] && off[2] < off[1];
+        assert!(off[0] > 10.0 && nearer, "{off:?}");
     }
 
     #[test]

@@ -109,6 +109,9 @@ impl GaussianTensors {
     }
 }
 
+/// Means and rows of rotations, a row for each Gaussian.
+type MeansAndRotations = (Vec<[f32; 3]>, Vec<[f64; 9]>);
+
 impl World {
     /// Number N of Gaussians.
     #[must_use]
@@ -254,7 +257,7 @@ impl World {
 
     /// Means, and rows of the rotations from the canonical frame, of the dynamic Gaussians at a time (training frames, may be
     /// fractional), `[F]` each; `None` where nothing moves.
-    pub(crate) fn motions(&self, time: f32) -> Option<(Vec<[f32; 3]>, Vec<[f64; 9]>)> {
+    pub(crate) fn motions(&self, time: f32) -> Option<MeansAndRotations> {
         let (moved, rotations) = self.detached().moved_at(time)?;
         let rotations = rows::<9>(&rotations.reshape([self.num_dynamic, 9]));
         let rotations = rotations.iter().map(|r| r.map(f64::from)).collect();
