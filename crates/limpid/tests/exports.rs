@@ -1,6 +1,11 @@
 //! `limpid export` and `limpid render --path` on a short run of the demo; what they write is read by others' readers where these
 //! are installed (`tests/readers/`).
 
+#![allow(
+    clippy::missing_assert_message,
+    reason = "helpers compare what was written with what should be, and say both"
+)]
+
 use std::error::Error;
 use std::fs;
 use std::io::Write as _;
