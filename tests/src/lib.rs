@@ -1,9 +1,10 @@
 //! What the tests that cross crates share: the one list of devices, the f64 gradient check, properties on random input, a tiny
-//! scene, and the cases of docs/NUMERICS.md.
+//! scene, a wall, and the cases of docs/NUMERICS.md.
 
 mod gradcheck;
 pub mod numerics;
 pub mod tiny;
+pub mod wall;
 
 pub use gradcheck::{GradLimits, GradReport, check_gradients, directional_report};
 pub use property::{property, uniform};

@@ -1,0 +1,119 @@
+//! Where blur needs a lens and paths, the camera's first trial puts kernels on top of it; where it needs one of them, it does not.
+
+use burn::tensor::{DType, Device, Tensor};
+use capture::{Capture, samples};
+use glam::{DAffine3, DVec3};
+use io::{Frame, Image, Map, Scene, View};
+use limpid_tests::{noise, quick_devices, tensor, values, wall};
+use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
+use trainer::settings::BlurKind;
+use trainer::{BlurModel, Settings, Trainer};
+
+const FRAMES: usize = 6;
+const SIZE: f64 = 4.0;
+
+/// Pictures of the wall by a camera that shakes by so many rad in an exposure, with such an aperture (scene sizes), and hunts for
+/// its focus.
+fn scene(shake: f64, aperture: f64, device: &Device) -> Scene {
+    let splats = wall::splats(device);
+    let f32s = |values: &[f64], shape| tensor(values, shape, device, DType::F32);
+    let mut capture = Capture::still(FRAMES, 2, (device, DType::F32));
+    let directions = noise(2 * FRAMES, 5);
+    let mut paths = vec![0.0; 12 * FRAMES];
+    for (frame, path) in paths.chunks_exact_mut(12).enumerate() {
+        // Some frames are sharper than others, as in every shaken video.
+        let length = shake * (0.4 + 0.3 * (frame % 3) as f64);
+        let (x, y) = (directions[2 * frame], directions[2 * frame + 1]);
+        let norm = x.hypot(y).max(1e-3);
+        path[..2].copy_from_slice(&[length * x / norm, length * y / norm]);
+    }
+    capture.paths = f32s(&paths, [FRAMES, 12]);
+    capture.aperture = f32s(&[aperture], [1, 1]);
+    let focus: Vec<f64> = (0..FRAMES).map(|i| 1.0 + 0.12 * i as f64).collect();
+    capture.focus = f32s(&focus, [FRAMES, 1]);
+
+    let camera = Camera::pinhole([56, 40], [60.0; 2], [28.0, 20.0]);
+    let frame = |index: usize| {
+        let center = DVec3::new(0.08 * index as f64 - 0.2, 0.02 * index as f64, 0.0);
+        let cam_from_world = DAffine3::from_translation(-center);
+        let pose = f32s(&pose_rows(&cam_from_world), [3, 4]);
+        let view = Viewpoint {
+            camera: camera.clone(),
+            cam_from_world: pose.clone(),
+            sh_degree: 0,
+        };
+        let sharp = render(splats.clone(), &view, Extra::default()).expect("a render");
+        let depth = values::<2>(sharp.depth() / sharp.alpha().clamp_min(0.5));
+        let exposure = Exposure {
+            poses: capture.poses(index, &pose, &samples(64, [0.5, 0.2]), SIZE),
+            movers: None,
+            transfer: Transfer::Srgb,
+        };
+        let taken = expose(splats.clone(), &view, exposure, None).expect("a picture");
+        let image = |color: Tensor<3>| Image {
+            width: 56,
+            height: 40,
+            pixels: values(color).iter().map(|v| *v as f32).collect(),
+        };
+        Frame {
+            view: View {
+                name: format!("{index:05}"),
+                camera: camera.clone(),
+                cam_from_world,
+                time: index as f32,
+                image: image(taken.color),
+            },
+            depth: Some(Map {
+                width: 56,
+                height: 40,
+                values: depth.iter().map(|v| *v as f32).collect(),
+            }),
+            mask: None,
+        }
+    };
+    Scene {
+        root: std::env::temp_dir(),
+        name: "wall".to_owned(),
+        layout: "made here",
+        downscale: 1,
+        frames: (0..FRAMES).map(frame).collect(),
+        test: Vec::new(),
+        points: Vec::new(),
+        tracks: None,
+        notes: Vec::new(),
+    }
+}
+
+/// A run behind its first trial, and what was decided there.
+fn trained(shake: f64, aperture: f64, model: BlurKind, device: &Device) -> (Trainer, Vec<String>) {
+    let mut settings = Settings {
+        iterations: 400,
+        ..Settings::default()
+    };
+    settings.blur.model = model;
+    let mut trainer =
+        Trainer::new(scene(shake, aperture, device), settings, device).expect("a trainer");
+    let mut decided = Vec::new();
+    let trial = trainer.schedule().blur_moments[1];
+    while trainer.iteration() <= trial {
+        decided.extend(trainer.step().expect("a step").decided);
+    }
+    (trainer, decided)
+}
+
+#[test]
+fn kernels_come_on_top_where_frames_need_a_lens_and_paths() {
+    for (name, device) in quick_devices() {
+        for (shake, aperture, needs_both) in
+            [(0.12, 0.03, true), (0.12, 0.0, false), (0.0, 0.04, false)]
+        {
+            let (trainer, decided) = trained(shake, aperture, BlurKind::Auto, &device);
+            let is_both = matches!(trainer.model().blur, BlurModel::Both(_));
+            assert_eq!(
+                is_both, needs_both,
+                "{name}: shake {shake}, aperture {aperture}"
+            );
+            assert_eq!(decided.len(), usize::from(needs_both), "{decided:?}");
+        }
+    }
+}
