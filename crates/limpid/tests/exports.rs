@@ -1,6 +1,11 @@
 //! `limpid export` and `limpid render --path` on a short run of the demo; what they write is read by others' readers where these
 //! are installed (`tests/readers/`).
 
+#![expect(
+    clippy::missing_assert_message,
+    reason = "most of its assertions are in functions that a test calls, and say what they compare"
+)]
+
 use std::error::Error;
 use std::fs;
 use std::io::Write as _;
