@@ -1,9 +1,9 @@
 //! `limpid export` and `limpid render --path` on a short run of the demo; what they write is read by others' readers where these
 //! are installed (`tests/readers/`).
 
-#![allow(
+#![expect(
     clippy::missing_assert_message,
-    reason = "helpers compare what was written with what should be, and say both"
+    reason = "most of its assertions are in functions that a test calls, and say what they compare"
 )]
 
 use std::error::Error;

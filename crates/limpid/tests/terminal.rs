@@ -57,7 +57,7 @@ fn settings_are_listed_with_default_range_and_meaning() -> Result<(), Box<dyn Er
 fn shells_can_complete_it() -> Result<(), Box<dyn Error>> {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let script = told(&["completions", shell])?;
-        assert!(script.contains("--sh-degree"), "{shell}");
+        assert!(script.contains("sh-degree"), "{shell}");
     }
     Ok(())
 }

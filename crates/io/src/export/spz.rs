@@ -1,4 +1,5 @@
-//! SPZ version 3: Gaussians in a few bytes each, gzipped. Spark, SuperSplat and LichtFeld all read it; version 4 they do not.
+//! SPZ version 3: Gaussians in a few bytes each, gzipped. Spark, SuperSplat and LichtFeld all read it, and not all of
+//! them version 4.
 //!
 //! Specification: README.md and `src/cc/load-spz.cc` in <https://github.com/nianticlabs/spz>. A header of 16 bytes, then of all
 //! Gaussians positions (24-bit fixed point), opacities (8 bits), colours (8 bits), scales (8 bits of the logarithm), rotations
@@ -73,22 +74,21 @@ pub fn write_spz(path: &Path, gaussians: &Gaussians) -> Result<SpzLoss, IoError>
             let fixed = (v * unit).round() as i32;
             out.write_all(&fixed.to_le_bytes()[..3])?;
         }
-        let bytes = |values: &mut dyn Iterator<Item = f32>| values.map(to_u8).collect::<Vec<_>>();
         let num_sh = (turned.sh_degree + 1).pow(2);
         let rows = || turned.sh.chunks_exact(3 * num_sh);
         let opacities = turned.opacity_logits.iter();
-        out.write_all(&bytes(&mut opacities.map(|o| 255.0 * opacity(*o))))?;
+        out.write_all(&bytes(opacities.map(|o| 255.0 * opacity(*o))))?;
         let colors = rows().flat_map(|sh| &sh[..3]);
         let colors = colors.map(|c| c * (COLOR_SCALE * 255.0) + 127.5);
-        out.write_all(&bytes(&mut colors.into_iter()))?;
+        out.write_all(&bytes(colors))?;
         let scales = turned.log_scales.as_flattened().iter();
-        out.write_all(&bytes(&mut scales.map(|s| stored_scale(*s))))?;
+        out.write_all(&bytes(scales.map(|s| stored_scale(*s))))?;
         for quat in &turned.quats {
             out.write_all(&smallest_three(*quat).to_le_bytes())?;
         }
         for sh in rows() {
-            let coded = sh[3..].iter().map(|c| to_u8(c * 128.0 + 128.0));
-            out.write_all(&coded.collect::<Vec<_>>())?;
+            let coded = sh[3..].iter().map(|c| c * 128.0 + 128.0);
+            out.write_all(&bytes(coded))?;
         }
         out.finish()?.flush()
     })?;
@@ -106,8 +106,8 @@ fn stored_scale(log_scale: f32) -> f32 {
 }
 
 /// Rounded and clamped.
-fn to_u8(value: f32) -> u8 {
-    value.round() as u8
+fn bytes(values: impl Iterator<Item = f32>) -> Vec<u8> {
+    values.map(|value| value.round() as u8).collect()
 }
 
 /// A rotation (w, x, y, z) without its largest number: that one's place among (x, y, z, w) in two bits, then of each of the
