@@ -1,6 +1,6 @@
 //! The camera as a blur model: what it did is found back from one picture that was taken so.
 
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::{DType, Tensor};
 use capture::{Capture, samples};
 use limpid_tests::wall::splats;
 use limpid_tests::{quick_devices, tensor, values};
