@@ -70,3 +70,38 @@ fn threads_are_one_or_more() -> Result<(), Box<dyn Error>> {
     assert!(!none.status.success());
     Ok(())
 }
+
+#[test]
+fn a_backend_that_is_not_there_is_an_error_that_says_what_to_do() -> Result<(), Box<dyn Error>> {
+    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+    let folder = tempfile::tempdir()?;
+    let backends = [
+        ("ndarray", cfg!(feature = "ndarray")),
+        ("wgpu", cfg!(feature = "wgpu")),
+        ("cuda", cfg!(feature = "cuda")),
+    ];
+    for (backend, is_built) in backends {
+        // Vulkan finds drivers by files that these variables name; other systems' adapters cannot be hidden.
+        if is_built && !(backend == "wgpu" && cfg!(target_os = "linux")) {
+            println!("skipped: {backend} is in this build, and its adapter cannot be hidden");
+            continue;
+        }
+        let out = folder.path().join(backend);
+        let tried = Command::new(env!("CARGO_BIN_EXE_limpid"))
+            .args(["train", "--scene", demo, "--backend", backend, "--out"])
+            .arg(&out)
+            .envs([("VK_DRIVER_FILES", "/none"), ("VK_ICD_FILENAMES", "/none")])
+            .output()?;
+        let said = String::from_utf8_lossy(&tried.stderr);
+        assert_eq!(tried.status.code(), Some(1), "{said}");
+        assert!(!said.contains("panicked"), "{said}");
+        if is_built {
+            let advises = said.contains("--backend flex") && said.contains("limpid devices");
+            assert!(said.contains("no adapter") && advises, "{said}");
+        } else {
+            assert!(said.contains(&format!("--features {backend}")), "{said}");
+        }
+        assert!(!out.exists(), "{backend}: nothing was begun");
+    }
+    Ok(())
+}

@@ -20,6 +20,7 @@ use crate::survey::Survey;
 use crate::views::Views;
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor};
+use camera::Worth;
 use glam::DAffine3;
 pub(crate) use kernels::TABLE as KERNELS_TABLE;
 use kernels::{KernelSums, KernelTrace};
@@ -55,9 +56,8 @@ pub(crate) enum Trace {
 pub(crate) struct Revision {
     /// Parameters with rows that are others now, and these rows.
     pub(crate) changed: Vec<(Parameter, Vec<usize>)>,
-    /// The camera by itself leaves blur: where there are a lens and paths, each takes some of the other's, and neither comes out
-    /// right.
-    pub(crate) leaves_blur: bool,
+    /// What a lens and paths explain of the frames, where that was found out.
+    pub(crate) worth: Option<Worth>,
 }
 
 /// What a model shows of a view.
@@ -214,7 +214,7 @@ impl BlurModel {
         let paths = Parameter::new("camera.paths", Group::CameraPath);
         Ok(Revision {
             changed: vec![(paths, revised.frames)],
-            leaves_blur: revised.needs_both,
+            worth: revised.worth,
         })
     }
 

@@ -1,8 +1,6 @@
 //! GPUs, and CPUs that play one, that this build's kernels can run on.
 
 use burn::tensor::Device;
-
-use crate::TrainError;
 use serde::Serialize;
 
 /// Storage buffers that a kernel may have: ours take up to seven, and CubeCL adds one.
@@ -160,34 +158,6 @@ pub(crate) fn is_gpu(_: &Device) -> bool {
     false
 }
 
-/// Does something on a device. Where a GPU fails, is lost or has no memory left, Burn panics: that is an error here.
-#[cfg(feature = "cube")]
-pub(crate) fn guarded<T>(
-    device: &Device,
-    work: impl FnOnce() -> Result<T, TrainError>,
-) -> Result<T, TrainError> {
-    use std::panic::{AssertUnwindSafe, catch_unwind};
-    if !is_gpu(device) {
-        return work();
-    }
-    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
-        let text = panic.downcast_ref::<String>().map(String::as_str);
-        let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
-        Err(TrainError::Device {
-            reason: host::said(text.unwrap_or("it does not say why")),
-        })
-    })
-}
-
-/// As it is: main memory does not fail.
-#[cfg(not(feature = "cube"))]
-pub(crate) fn guarded<T>(
-    _: &Device,
-    work: impl FnOnce() -> Result<T, TrainError>,
-) -> Result<T, TrainError> {
-    work()
-}
-
 #[cfg(any(feature = "wgpu", feature = "cuda"))]
 mod runtimes {
     use burn::backend::DispatchDevice;
@@ -219,5 +189,39 @@ mod runtimes {
             units: hardware.max_units_per_cube,
             device,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BUFFERS, Gpu, SHARED_MEMORY, UNITS};
+    use burn::tensor::Device;
+
+    #[test]
+    fn what_is_too_small_is_named_with_what_is_needed() {
+        let enough = Gpu {
+            name: "a GPU".to_owned(),
+            runtime: "wgpu",
+            is_software: false,
+            largest_buffer: 128 << 20,
+            memory: None,
+            buffers: BUFFERS,
+            shared_memory: SHARED_MEMORY,
+            units: UNITS,
+            device: Device::flex(),
+        };
+        assert_eq!(enough.refusal(), None);
+        let [mut buffers, mut memory, mut units] = std::array::from_fn(|_| enough.clone());
+        buffers.buffers = 4;
+        memory.shared_memory = 8 << 10;
+        units.units = 128;
+        for (gpu, found, needed) in [
+            (buffers, "storage buffers a kernel: 4", "8"),
+            (memory, "bytes of shared memory: 8192", "16384"),
+            (units, "units a cube: 128", "256"),
+        ] {
+            let why = gpu.refusal().unwrap_or_default();
+            assert!(why.starts_with(found) && why.ends_with(needed), "{why}");
+        }
     }
 }

@@ -49,6 +49,7 @@ mod dynamics;
 mod error;
 mod gpu;
 mod grouping;
+mod guarded;
 mod inputs;
 mod lifting;
 mod look;

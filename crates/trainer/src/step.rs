@@ -3,7 +3,7 @@
 use crate::TrainError;
 use crate::adam::{AdamStep, NonFiniteGradient, finite_gradient};
 use crate::blur::Trace;
-use crate::gpu::guarded;
+use crate::guarded::guarded;
 use crate::look::Look;
 use crate::metrics::SquaredError;
 use crate::model::Model;
@@ -175,15 +175,18 @@ impl Trainer {
         for (parameter, rows) in revision.changed {
             run.state.optimizer.zero_rows(&parameter, &rows);
         }
-        if revision.leaves_blur && run.plan.settings.blur.model == BlurKind::Auto {
+        let is_open = run.plan.settings.blur.model == BlurKind::Auto;
+        let Some(worth) = revision.worth.filter(|_| is_open) else {
+            return Ok(None);
+        };
+        // Where there are both, each takes some of the other's blur, and neither comes out right.
+        let decision = if worth.needs_both() {
             add_kernels(run)?;
-            return Ok(Some(
-                "the frames need a lens and paths, which take each other's blur: from half of the run on kernels explain what \
-                 they leave (`--blur camera` does without)"
-                    .to_owned(),
-            ));
-        }
-        Ok(None)
+            "from half of the run on kernels explain what the camera leaves (`--blur camera` does without)"
+        } else {
+            "the camera explains blur by itself (`--blur both` has kernels on top)"
+        };
+        Ok(Some(format!("{worth}: {decision}")))
     }
 
     /// Says where a number that is not finite arose: goes back through each loss term by itself. Costs as many backward passes

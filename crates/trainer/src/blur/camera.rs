@@ -6,6 +6,7 @@ mod taken;
 mod trials;
 
 pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
+pub(crate) use trials::Worth;
 
 use crate::TrainError;
 use crate::look::{Look, Shown, render_posed};
