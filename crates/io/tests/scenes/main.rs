@@ -1,10 +1,11 @@
-//! Scenes as folders: good ones in both layouts, broken ones, and the real ones where they are there.
+//! Scenes as folders: good ones in each layout, broken ones, and the real ones where they are there.
 #![expect(
     clippy::unwrap_used,
     reason = "a test that cannot make its input has failed"
 )]
 
 mod broken;
+mod distorted;
 mod make;
 mod masks;
 mod nerfstudio;
