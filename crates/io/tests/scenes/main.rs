@@ -6,8 +6,11 @@
 
 mod broken;
 mod distorted;
+mod dyblurf;
+mod dycheck;
 mod make;
 mod masks;
+mod megasam;
 mod nerfstudio;
 mod real;
 mod shape_of_motion;
