@@ -143,6 +143,8 @@ impl Workload {
                 color: [0.5; 3],
             }],
             tracks: None,
+            undistorted: Vec::new(),
+            truth_folders: io::TruthFolders::default(),
             notes: Vec::new(),
         }
     }

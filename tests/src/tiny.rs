@@ -137,6 +137,8 @@ pub fn scene() -> Scene {
             num_frames: FRAMES,
             queries: queries.collect(),
         }),
+        undistorted: Vec::new(),
+        truth_folders: io::TruthFolders::default(),
         notes: Vec::new(),
     }
 }

@@ -80,6 +80,8 @@ fn scene(shake: f64, aperture: f64, device: &Device) -> Scene {
         test: Vec::new(),
         points: Vec::new(),
         tracks: None,
+        undistorted: Vec::new(),
+        truth_folders: io::TruthFolders::default(),
         notes: Vec::new(),
     }
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use splat_core::Camera;
 
 use crate::IoError;
+use crate::resample::resize_camera;
 
 /// How a lens moves points of the plane z = 1, (u, v), before the focal length is applied.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,7 +30,7 @@ impl Distortion {
     };
 
     /// Where the lens puts the point that a pinhole would put at (u, v).
-    fn apply(&self, u: f64, v: f64) -> (f64, f64) {
+    pub(crate) fn apply(&self, u: f64, v: f64) -> (f64, f64) {
         let r2 = u * u + v * v;
         let r = r2.sqrt();
         // Σ c_i x^i, i from 1.
@@ -59,10 +60,79 @@ impl Distortion {
             }
         }
     }
+
+    /// Derivatives of [`Self::apply`] as rows, by central differences.
+    fn jacobian(&self, u: f64, v: f64) -> [[f64; 2]; 2] {
+        let h = 1e-6 * (1.0 + u.abs() + v.abs());
+        let (right, left) = (self.apply(u + h, v), self.apply(u - h, v));
+        let (below, above) = (self.apply(u, v + h), self.apply(u, v - h));
+        let d = |a: f64, b: f64| (a - b) / (2.0 * h);
+        [
+            [d(right.0, left.0), d(below.0, above.0)],
+            [d(right.1, left.1), d(below.1, above.1)],
+        ]
+    }
+
+    /// How much larger the lens makes areas at (u, v); not over zero where it folds the picture over.
+    pub(crate) fn area_scale(&self, u: f64, v: f64) -> f64 {
+        let [[a, b], [c, d]] = self.jacobian(u, v);
+        a * d - b * c
+    }
+
+    /// Whether nothing is folded between the axis and a point, and the point is not thrown to its other side.
+    fn is_unfolded_up_to(&self, (u, v): (f64, f64), (du, dv): (f64, f64)) -> bool {
+        const STEPS: u32 = 16;
+        let mut shares = (1..=STEPS).map(|i| f64::from(i) / f64::from(STEPS));
+        u * du + v * dv >= 0.0 && shares.all(|share| self.area_scale(share * u, share * v) > 0.0)
+    }
+
+    /// The point that [`Self::apply`] puts at (du, dv), by Newton's method with halved steps. None where there is none, or
+    /// none that is found without a fold on the way.
+    pub(crate) fn undo(&self, (du, dv): (f64, f64)) -> Option<(f64, f64)> {
+        const ITERATIONS: usize = 60;
+        let residual = |(u, v): (f64, f64)| {
+            let (x, y) = self.apply(u, v);
+            (x - du, y - dv)
+        };
+        let size = |(x, y): (f64, f64)| x.hypot(y);
+        let mut at = (du, dv);
+        let mut off = residual(at);
+        for _ in 0..ITERATIONS {
+            if size(off) < 1e-12 * (1.0 + size((du, dv))) {
+                break;
+            }
+            let [[a, b], [c, d]] = self.jacobian(at.0, at.1);
+            let det = a * d - b * c;
+            let step = ((d * off.0 - b * off.1) / det, (a * off.1 - c * off.0) / det);
+            let tried = (0..20).map(|halvings| {
+                let share = 0.5f64.powi(halvings);
+                let there = (at.0 - share * step.0, at.1 - share * step.1);
+                (there, residual(there))
+            });
+            let mut better = tried.filter(|(_, there)| size(*there) < size(off));
+            let Some(next) = better.next() else { break };
+            (at, off) = next;
+        }
+        // Written so that what is not a number is refused.
+        let found = size(off) < 1e-9 * (1.0 + size((du, dv)));
+        (found && self.is_unfolded_up_to(at, (du, dv))).then_some(at)
+    }
+
+    fn coefficients(&self) -> Vec<f64> {
+        match self {
+            Self::Radial {
+                num,
+                den,
+                tangential,
+            } => [&num[..], den, tangential].concat(),
+            Self::Fisheye { k } => k.to_vec(),
+            Self::Fov { omega } => vec![*omega],
+        }
+    }
 }
 
 /// A pinhole and what its lens adds.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Lens {
     pub(crate) model: String,
     pub(crate) camera: Camera,
@@ -70,26 +140,39 @@ pub(crate) struct Lens {
 }
 
 impl Lens {
-    /// Checks the numbers and that there is no distortion worth a thousandth of a pixel.
-    /// `who` has it, for messages.
-    pub(crate) fn into_pinhole(self, who: &str, path: &Path) -> Result<Camera, IoError> {
-        if let Some(fault) = fault(&self.camera) {
-            return Err(IoError::malformed(path, format!("{who}: {fault}")));
+    /// A pinhole without distortion.
+    pub(crate) fn pinhole(camera: Camera) -> Self {
+        Self {
+            model: "PINHOLE".into(),
+            camera,
+            distortion: Distortion::NONE,
         }
-        let pixels = self.largest_displacement();
-        // Written so that a coefficient that is not a number is refused too.
-        if pixels < 1e-3 {
-            return Ok(self.camera);
-        }
-        Err(IoError::Distortion {
-            model: self.model,
-            pixels,
-            path: path.into(),
-        })
     }
 
-    /// Largest displacement against the pinhole (px), over a grid that includes border and corners.
-    fn largest_displacement(&self) -> f64 {
+    /// Checks the numbers. `who` has them, for messages.
+    pub(crate) fn checked(self, who: &str, path: &Path) -> Result<Self, IoError> {
+        let fault = fault(&self.camera).or_else(|| {
+            let lost = self.distortion.coefficients();
+            let lost = lost.into_iter().find(|v| !v.is_finite());
+            lost.map(|v| format!("the lens coefficient {v} is not a finite number"))
+        });
+        match fault {
+            Some(fault) => Err(IoError::malformed(path, format!("{who}: {fault}"))),
+            None => Ok(self),
+        }
+    }
+
+    /// The lens before the same picture at another size.
+    pub(crate) fn resized(&self, width: usize, height: usize) -> Self {
+        Self {
+            camera: resize_camera(&self.camera, width, height),
+            ..self.clone()
+        }
+    }
+
+    /// Largest displacement against the pinhole (px), over a grid that includes border and corners. Not a number where some
+    /// point has no image.
+    pub(crate) fn largest_displacement(&self) -> f64 {
         const STEPS: usize = 64;
         let c = &self.camera;
         let mut largest = 0.0f64;
@@ -144,15 +227,7 @@ mod tests {
             camera: Camera::pinhole([200, 100], [100.0, 100.0], [100.0, 50.0]),
             distortion,
         };
-        let pixels = lens.largest_displacement();
-        match lens.into_pinhole("camera 1", Path::new("cameras.bin")) {
-            Ok(_) => assert!(pixels < 1e-3, "{pixels}"),
-            Err(IoError::Distortion { pixels: told, .. }) => {
-                assert!(told == pixels || pixels.is_nan(), "{told} is not {pixels}");
-            }
-            Err(e) => panic!("{e}"),
-        }
-        pixels
+        lens.largest_displacement()
     }
 
     fn radial(k1: f64, k2: f64) -> Distortion {
@@ -186,10 +261,66 @@ mod tests {
         assert!(
             (fov - 100.0 * ((2.0 * r * 0.4f64.tan()).atan() / 0.8 - r).abs()) < 1e-9 || fov > 1.0
         );
-        assert!(
-            displacement(radial(f64::NAN, 0.0)).is_nan(),
-            "refused, not ignored"
-        );
+        assert!(displacement(radial(f64::NAN, 0.0)).is_nan(), "not ignored");
+    }
+
+    #[test]
+    fn coefficients_that_are_no_numbers_are_refused() {
+        for distortion in [
+            radial(f64::NAN, 0.0),
+            radial(0.0, f64::INFINITY),
+            Distortion::Fisheye { k: [f64::NAN; 4] },
+            Distortion::Fov { omega: f64::NAN },
+        ] {
+            let lens = Lens {
+                distortion,
+                ..Lens::pinhole(Camera::pinhole([20, 10], [10.0, 10.0], [10.0, 5.0]))
+            };
+            let error = lens.checked("camera 1", Path::new("cameras.bin"));
+            let told = error.expect_err("no number").to_string();
+            assert!(
+                told.contains("camera 1") && told.contains("coefficient"),
+                "{told}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_was_distorted_is_undone() {
+        let brown = Distortion::Radial {
+            num: [-0.28, 0.11, -0.02, 0.0],
+            den: [0.0; 3],
+            tangential: [1e-3, -2e-3],
+        };
+        let rational = Distortion::Radial {
+            num: [0.5, -0.1, 0.02, 0.0],
+            den: [0.8, 0.05, 0.01],
+            tangential: [0.0; 2],
+        };
+        for lens in [
+            Distortion::NONE,
+            brown,
+            rational,
+            radial(0.2, 0.05),
+            Distortion::Fisheye {
+                k: [0.02, -0.01, 0.003, -0.001],
+            },
+            Distortion::Fov { omega: 0.9 },
+        ] {
+            for i in -8..=8 {
+                for j in -6..=6 {
+                    let (u, v) = (0.1 * f64::from(i), 0.1 * f64::from(j));
+                    let (x, y) = lens.undo(lens.apply(u, v)).expect("an inverse");
+                    assert!((x - u).hypot(y - v) < 1e-9, "{lens:?} at {u} {v}: {x} {y}");
+                }
+            }
+        }
+        // r - 0.5 r³ comes to 0.544 at most, at r = 0.816.
+        let folded = radial(-0.5, 0.0);
+        for beyond in [0.6, 1.0, 12.0, 1e3] {
+            assert!(folded.undo((beyond, 0.1)).is_none(), "{beyond}");
+        }
+        assert!(folded.area_scale(0.9, 0.0) < 0.0 && folded.area_scale(0.7, 0.0) > 0.0);
     }
 
     #[test]

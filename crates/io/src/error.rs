@@ -100,10 +100,11 @@ pub enum IoError {
         path: PathBuf,
     },
 
-    /// A camera with lens distortion. It is neither ignored nor undone.
+    /// A camera with lens distortion, where it is to be refused.
     #[error(
-        "camera model {model} moves pixels by up to {pixels:.2} px, and only pinhole cameras are \
-         supported; undistort the images first (for example `colmap image_undistorter`): {}",
+        "camera model {model} moves pixels by up to {pixels:.2} px, and distortion is to be refused; \
+         undistort the images first (for example by `colmap image_undistorter`), or leave \
+         `--distortion refuse` out, and it is undone on loading: {}",
         path.display()
     )]
     Distortion {

@@ -1,7 +1,7 @@
 //! Files: datasets in; images, JSON, and scenes and cameras in formats that others read out.
 //!
-//! [`Scene::open`] recognises a folder by its content (Shape-of-Motion's layout or nerfstudio's
-//! `transforms.json`) and hands out frames, cameras, times and whatever of depth, masks and tracks
+//! [`Scene::open`] recognises a folder by its content (Shape-of-Motion's layout, nerfstudio's
+//! `transforms.json`, and others) and hands out frames, cameras, times and whatever of depth, masks and tracks
 //! there is, in this project's conventions: OpenCV camera axes, pixel centres at + 0.5, z-depth,
 //! sRGB in [0, 1], time in units of training frames.
 //!
@@ -27,9 +27,11 @@ mod picture;
 mod plan;
 mod ply;
 mod resample;
+mod rotation;
 mod scene;
 mod tracks;
 mod truth;
+mod undistort;
 
 pub use atomic::{unfinished, write_atomic, write_atomic_keeping, write_json};
 pub use error::IoError;
@@ -43,7 +45,8 @@ pub use key_frames::{KeyFrame, read_key_frames};
 pub use picture::{Image, Map, encode_jpeg, read_image, read_map, write_map_png, write_png};
 pub use ply::{read_ply, write_ply, write_points_ply};
 pub use resample::shrink_image;
-pub use scene::{Frame, LoadOptions, Scene, SparsePoint, View};
+pub use scene::{Frame, LoadOptions, Scene, SparsePoint, TruthFolders, View};
 pub use splat_core::Gaussians;
 pub use tracks::{QueryTracks, TrackSample, Tracks};
 pub use truth::Truth;
+pub use undistort::Undistortion;

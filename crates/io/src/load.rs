@@ -8,11 +8,9 @@ use crate::folder::{PICTURES, list};
 use crate::notes::note;
 use crate::npy::read_npy;
 use crate::picture::{has_aspect, read_depth_png, read_image_for, read_map_for};
-use crate::plan::{DepthFile, Plan, PlannedFrame, PlannedView};
-use crate::resample::{
-    resize_camera, resize_nearest, shrink_camera, shrink_depth, shrink_image, shrink_map,
-};
-use crate::{Frame, Image, IoError, LoadOptions, Map, Scene, View};
+use crate::plan::{DepthFile, Picture, Plan, PlannedFrame, PlannedView};
+use crate::resample::{resize_nearest, shrink_camera, shrink_depth, shrink_image, shrink_map};
+use crate::{Frame, Image, IoError, LoadOptions, Map, Scene, Undistortion, View};
 
 /// The scene of a plan that `layout` made.
 pub(crate) fn load(
@@ -25,6 +23,7 @@ pub(crate) fn load(
     let mut loader = Loader {
         factor: options.downscale,
         inverted_masks: plan.inverted_masks,
+        refuses_distortion: options.refuse_distortion,
         largest_mask: 0.0,
         notes: plan.notes,
     };
@@ -37,7 +36,7 @@ pub(crate) fn load(
         let advice = "the other folder needs a picture for each training frame";
         let images = list(&folder, PICTURES)?.pick(&stems, &folder, "frames", advice)?;
         for (frame, image) in plan.frames.iter_mut().zip(images) {
-            frame.view.image = image;
+            frame.view.image = Picture::File(image);
         }
     }
     if options.static_scene {
@@ -48,31 +47,44 @@ pub(crate) fn load(
     let has_mask: fn(&PlannedFrame) -> bool = |f| f.mask.is_some();
     all_or_none(&plan.frames, has_depth, "the depth", &plan.depth_at)?;
     all_or_none(&plan.frames, has_mask, "the mask", &plan.masks_at)?;
-    let tracks = if options.static_scene {
+    let mut tracks = if options.static_scene {
         None
     } else {
-        plan.tracks.read(&stems, options.downscale)?
+        plan.tracks.read(&stems)?
     };
 
     // All pictures before what belongs to them: only together do they say which of them has an odd size.
-    let (mut views, mut sizes) = (Vec::new(), Vec::new());
+    let (mut views, mut sizes, mut undistorted) = (Vec::new(), Vec::new(), Vec::new());
     for planned in &plan.frames {
         let image = loader.image(&planned.view)?;
         sizes.push((image.width, image.height));
-        views.push(loader.view(&planned.view, image)?);
+        let (view, undone) = loader.view(&planned.view, image)?;
+        views.push(view);
+        undistorted.push(undone);
     }
     check_sizes(&plan.frames, &sizes)?;
     let mut frames = Vec::with_capacity(views.len());
-    for ((planned, view), size) in plan.frames.iter().zip(views).zip(sizes) {
-        frames.push(loader.frame(planned, view, size)?);
+    for (((planned, view), size), undone) in
+        plan.frames.iter().zip(views).zip(sizes).zip(&undistorted)
+    {
+        frames.push(loader.frame(planned, view, (size, undone.as_ref()))?);
+    }
+    if let Some(tracks) = &mut tracks {
+        tracks.follow_pictures(&undistorted, options.downscale);
     }
     let mut test = Vec::with_capacity(plan.test.len());
     for planned in &plan.test {
         let image = loader.image(planned)?;
-        test.push(loader.view(planned, image)?);
+        let (view, undone) = loader.view(planned, image)?;
+        test.push(view);
+        undistorted.push(undone);
     }
 
     let mut notes = loader.notes;
+    notes.extend(distortion_note(&undistorted));
+    if undistorted.iter().all(Option::is_none) {
+        undistorted.clear();
+    }
     settle_masks(&mut frames, loader.largest_mask, &mut notes);
     let masked = frames.iter().any(|f| f.mask.is_some());
     if masked && tracks.is_none() {
@@ -95,8 +107,34 @@ pub(crate) fn load(
         test,
         points: plan.points,
         tracks,
+        undistorted,
+        truth_folders: plan.truth,
         notes,
     })
+}
+
+/// What was done about lenses, if anything.
+fn distortion_note(undistorted: &[Option<Undistortion>]) -> Option<String> {
+    let undone: Vec<_> = undistorted.iter().flatten().collect();
+    let models = BTreeSet::from_iter(undone.iter().map(|u| u.model()));
+    let largest = undone
+        .iter()
+        .map(|u| u.displacement_px())
+        .reduce(f64::max)?;
+    let lowest = undone.iter().map(|u| u.zoom()).reduce(f64::min)?;
+    let highest = undone.iter().map(|u| u.zoom()).reduce(f64::max)?;
+    let zooms = if highest - lowest < 5e-4 {
+        format!("{highest:.3}")
+    } else {
+        format!("{lowest:.3} to {highest:.3}")
+    };
+    Some(format!(
+        "{} of {} pictures had lens distortion ({}) of up to {largest:.2} px: they, their depth, masks and tracks \
+         are now those of a pinhole with {zooms} times the focal length, whose pixels all lie inside the picture",
+        undone.len(),
+        undistorted.len(),
+        Vec::from_iter(models).join(", "),
+    ))
 }
 
 /// An error for the first picture that has not the size of the others: the most frequent one, or among those the one that
@@ -104,7 +142,7 @@ pub(crate) fn load(
 fn check_sizes(frames: &[PlannedFrame], sizes: &[(usize, usize)]) -> Result<(), IoError> {
     let rank = |size: &(usize, usize)| {
         let count = sizes.iter().filter(|other| *other == size).count();
-        let cameras = frames.iter().map(|f| &f.view.camera);
+        let cameras = frames.iter().map(|f| &f.view.lens.camera);
         let fitting = cameras.filter(|c| (c.width, c.height) == *size).count();
         (count, fitting)
     };
@@ -115,7 +153,7 @@ fn check_sizes(frames: &[PlannedFrame], sizes: &[(usize, usize)]) -> Result<(), 
     match frames.iter().zip(sizes).find(|(_, size)| **size != usual) {
         Some((odd, &found)) => {
             let what = "the picture, unlike those of other frames,";
-            Err(IoError::size(&odd.view.image, what, found, usual))
+            Err(IoError::size(odd.view.image.path(), what, found, usual))
         }
         None => Ok(()),
     }
@@ -175,6 +213,7 @@ fn settle_masks(frames: &mut [Frame], largest: f32, notes: &mut Vec<String>) {
 struct Loader {
     factor: usize,
     inverted_masks: bool,
+    refuses_distortion: bool,
     /// Largest value of all masks at their own size.
     largest_mask: f32,
     notes: Vec<String>,
@@ -187,33 +226,60 @@ impl Loader {
 
     /// A view's picture, as it is in its file.
     fn image(&mut self, planned: &PlannedView) -> Result<Image, IoError> {
-        let of_camera = (planned.camera.width, planned.camera.height);
-        read_image_for(&planned.image, Some(of_camera), &mut self.notes)
+        let camera = &planned.lens.camera;
+        let of_camera = (camera.width, camera.height);
+        match &planned.image {
+            Picture::File(path) => read_image_for(path, Some(of_camera), &mut self.notes),
+            Picture::Loaded {
+                size: (width, height),
+                pixels,
+                ..
+            } => Ok(Image {
+                width: *width,
+                height: *height,
+                pixels: pixels.iter().map(|&v| f32::from(v) / 255.0).collect(),
+            }),
+        }
     }
 
-    /// A view with what belongs to it; its picture's file has this `size`.
+    /// A view with what belongs to it; its picture's file has this size, and this was undone of its lens.
     fn frame(
         &mut self,
         planned: &PlannedFrame,
         view: View,
-        size: (usize, usize),
+        (size, undone): ((usize, usize), Option<&Undistortion>),
     ) -> Result<Frame, IoError> {
         let depth = planned.depth.as_ref();
         let depth = depth.map(|file| self.depth(file, size)).transpose()?;
         let mask = planned.mask.as_ref();
         let mask = mask.map(|path| self.mask(path, size)).transpose()?;
-        Ok(Frame { view, depth, mask })
+        let (depth, mask) = match undone {
+            Some(undone) => (
+                depth.map(|depth| undone.depth(&depth)),
+                mask.map(|mask| undone.map(&mask)),
+            ),
+            None => (depth, mask),
+        };
+        Ok(Frame {
+            view,
+            depth: depth.map(|depth| shrink_depth(depth, self.factor)),
+            mask: mask.map(|mask| shrink_map(mask, self.factor)),
+        })
     }
 
-    /// A view of any size.
-    fn view(&mut self, planned: &PlannedView, image: Image) -> Result<View, IoError> {
+    /// A view of any size, and what was undone of its lens.
+    fn view(
+        &mut self,
+        planned: &PlannedView,
+        image: Image,
+    ) -> Result<(View, Option<Undistortion>), IoError> {
         let (width, height) = (image.width, image.height);
         if self.factor > width.min(height) {
             let what = format!(
                 "downscale {} leaves nothing of {width}x{height}",
                 self.factor
             );
-            return Err(IoError::invalid(&planned.image, what));
+            return Err(IoError::invalid(planned.image.path(), what));
         }
         let (w, h) = (width % self.factor, height % self.factor);
         if (w, h) != (0, 0) {
@@ -224,8 +290,8 @@ impl Loader {
                 height - h
             ));
         }
-        let mut camera = planned.camera.clone();
-        let of_camera = (camera.width, camera.height);
+        let mut lens = planned.lens.clone();
+        let of_camera = (lens.camera.width, lens.camera.height);
         if of_camera != (width, height) {
             if !has_aspect((width, height), of_camera) {
                 let what = format!(
@@ -233,32 +299,49 @@ impl Loader {
                     planned.camera_file.display()
                 );
                 let found = (width, height);
-                return Err(IoError::size(&planned.image, what, found, of_camera));
+                return Err(IoError::size(planned.image.path(), what, found, of_camera));
             }
-            camera = resize_camera(&camera, width, height);
+            lens = lens.resized(width, height);
             self.note(format!(
                 "intrinsics were scaled to the pictures' size {width}x{height}"
             ));
         }
-        Ok(View {
+        let undone = Undistortion::of(&lens).map_err(|what| {
+            IoError::malformed(&planned.camera_file, format!("{}: {what}", planned.name))
+        })?;
+        let (camera, image) = match &undone {
+            Some(undone) if self.refuses_distortion => {
+                return Err(IoError::Distortion {
+                    model: undone.model().into(),
+                    pixels: undone.displacement_px(),
+                    path: planned.camera_file.clone(),
+                });
+            }
+            Some(undone) => (undone.camera(), undone.image(&image)),
+            None => (&lens.camera, image),
+        };
+        let view = View {
             name: planned.name.clone(),
-            camera: shrink_camera(&camera, self.factor),
+            camera: shrink_camera(camera, self.factor),
             cam_from_world: planned.cam_from_world,
             time: planned.time,
             image: shrink_image(image, self.factor),
-        })
+        };
+        Ok((view, undone))
     }
 
-    /// z-depth of the training frames' `size`, shrunk.
+    /// z-depth of the training frames' `size`.
     fn depth(&mut self, file: &DepthFile, size: (usize, usize)) -> Result<Map, IoError> {
-        let (DepthFile::Disparity(path) | DepthFile::Depth { path, .. }) = file;
+        let (DepthFile::Disparity(path)
+        | DepthFile::Depth { path, .. }
+        | DepthFile::Loaded { archive: path, .. }) = file;
         let is_array = path
             .extension()
             .is_some_and(|e| e.eq_ignore_ascii_case("npy"));
-        let mut map = if is_array {
-            read_array_map(path)?
-        } else {
-            read_depth_png(path, size, &mut self.notes)?
+        let mut map = match file {
+            DepthFile::Loaded { depth, .. } => depth.clone(),
+            _ if is_array => read_array_map(path)?,
+            _ => read_depth_png(path, size, &mut self.notes)?,
         };
         if let Some(at) = map.values.iter().position(|v| v.is_nan()) {
             let (x, y) = (at % map.width, at / map.width);
@@ -271,6 +354,7 @@ impl Loader {
             let z = match file {
                 DepthFile::Disparity(_) => 1.0 / v,
                 DepthFile::Depth { scale, .. } => v * scale,
+                DepthFile::Loaded { .. } => v,
             } as f32;
             *value = if v > 0.0 && z.is_finite() && z > 0.0 {
                 z
@@ -278,36 +362,42 @@ impl Loader {
                 0.0
             };
         }
-        let found = (map.width, map.height);
-        if found != size {
-            // A sensor's depth has its own size; an estimator's was made from the picture.
-            let same_aspect = found.0 * size.1 == found.1 * size.0;
-            if matches!(file, DepthFile::Disparity(_)) || !same_aspect {
-                return Err(IoError::size(path, "the depth", found, size));
-            }
-            map = resize_nearest(&map, size.0, size.1);
-            let (width, height) = size;
-            self.note(format!(
-                "depth was resized to {width}x{height} (nearest neighbour)"
-            ));
-        }
-        Ok(shrink_depth(map, self.factor))
+        self.resized(map, "depth", path, size)
     }
 
-    /// A mask of the training frames' `size`, 1 where something moves, shrunk.
+    /// A mask of the training frames' `size`, 1 where something moves.
     fn mask(&mut self, path: &Path, size: (usize, usize)) -> Result<Map, IoError> {
-        let mut map = read_map_for(path, Some(size), &mut self.notes)?;
-        let found = (map.width, map.height);
-        if found != size {
-            return Err(IoError::size(path, "the mask", found, size));
-        }
+        let map = read_map_for(path, Some(size), &mut self.notes)?;
+        let mut map = self.resized(map, "mask", path, size)?;
         for value in &mut map.values {
             if self.inverted_masks {
                 *value = if *value > 0.0 { 0.0 } else { 1.0 };
             }
             self.largest_mask = self.largest_mask.max(*value);
         }
-        Ok(shrink_map(map, self.factor))
+        Ok(map)
+    }
+
+    /// A map of the same field of view at its picture's `size`: tools and sensors have sizes of their own.
+    fn resized(
+        &mut self,
+        map: Map,
+        what: &str,
+        path: &Path,
+        size: (usize, usize),
+    ) -> Result<Map, IoError> {
+        let found = (map.width, map.height);
+        if found == size {
+            return Ok(map);
+        }
+        if !has_aspect(found, size) {
+            return Err(IoError::size(path, format!("the {what}"), found, size));
+        }
+        self.note(format!(
+            "{what} was resized from {}x{} to {}x{} (nearest neighbour)",
+            found.0, found.1, size.0, size.1
+        ));
+        Ok(resize_nearest(&map, size.0, size.1))
     }
 }
 

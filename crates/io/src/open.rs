@@ -21,7 +21,7 @@ impl Scene {
     ///
     /// # Errors
     /// [`IoError::Unrecognised`] says what was looked for; [`IoError::Invalid`] is for a file; everything else that is missing, broken,
-    /// of the wrong size or distorted has its own variant and names the file.
+    /// of the wrong size, or distorted where that is refused, has its own variant and names the file.
     pub fn open_with(dir: &Path, options: &LoadOptions) -> Result<Self, IoError> {
         if options.downscale == 0 {
             return Err(IoError::invalid(dir, "downscale must be at least 1"));

@@ -91,7 +91,7 @@ fn undecodable(path: &Path, error: ImageError) -> IoError {
 }
 
 /// Width and height, or any other two sides.
-type Size = (usize, usize);
+pub(crate) type Size = (usize, usize);
 
 /// A picture, turned as its EXIF data says. What made a scene's cameras may have looked at the pixels as they are stored: where
 /// these fit the `expected` size and the turned ones do not, they are left alone.

@@ -4,16 +4,18 @@
 use std::path::{Path, PathBuf};
 
 use glam::DAffine3;
-use splat_core::Camera;
 
+use crate::camera_model::Lens;
+use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
-use crate::{IoError, LoadOptions, SparsePoint};
+use crate::{IoError, LoadOptions, Map, SparsePoint};
 
 /// A way to lay a scene out in a folder.
 pub(crate) struct Layout {
     /// Its name in messages and in [`Scene::layout`](crate::Scene::layout).
     pub(crate) name: &'static str,
-    /// What makes a folder one of these when all of it is there; folders end in a slash.
+    /// What makes a folder one of these when all of it is there; folders end in a slash, and a star
+    /// stands for the beginning of a file's name.
     pub(crate) looks_for: &'static [&'static str],
     /// Says where everything is in such a folder.
     pub(crate) plan: fn(&Path, &LoadOptions) -> Result<Plan, IoError>,
@@ -24,7 +26,9 @@ impl Layout {
     pub(crate) fn found(&self, root: &Path) -> impl Iterator<Item = &'static str> {
         self.looks_for.iter().copied().filter(|part| {
             let path = root.join(part);
-            if part.ends_with('/') {
+            if let Some(ending) = part.strip_prefix('*') {
+                has_file_with(root, ending)
+            } else if part.ends_with('/') {
                 path.is_dir()
             } else {
                 path.is_file()
@@ -35,6 +39,11 @@ impl Layout {
     pub(crate) fn recognises(&self, root: &Path) -> bool {
         self.found(root).count() == self.looks_for.len()
     }
+}
+
+fn has_file_with(root: &Path, ending: &str) -> bool {
+    let mut entries = std::fs::read_dir(root).into_iter().flatten().flatten();
+    entries.any(|e| e.path().is_file() && e.file_name().to_string_lossy().ends_with(ending))
 }
 
 /// A scene before its pictures are read. Frames are in time order.
@@ -48,18 +57,39 @@ pub(crate) struct Plan {
     /// Masks are black where something moves, and anything else is white.
     pub(crate) inverted_masks: bool,
     pub(crate) tracks: TrackFiles,
+    pub(crate) truth: TruthFolders,
     pub(crate) notes: Vec<String>,
 }
 
-/// A view before its picture is read. The camera may be for another size of the picture.
+/// A view before its picture is read. The lens may be for another size of the picture.
 pub(crate) struct PlannedView {
     pub(crate) name: String,
-    pub(crate) image: PathBuf,
-    pub(crate) camera: Camera,
+    pub(crate) image: Picture,
+    pub(crate) lens: Lens,
     /// The file that the camera is from, for messages.
     pub(crate) camera_file: PathBuf,
     pub(crate) cam_from_world: DAffine3,
     pub(crate) time: f32,
+}
+
+/// Where a view's picture is.
+pub(crate) enum Picture {
+    File(PathBuf),
+    /// Already read, from an archive.
+    Loaded {
+        size: (usize, usize),
+        /// sRGB [H, W, 3].
+        pixels: Vec<u8>,
+        archive: PathBuf,
+    },
+}
+
+impl Picture {
+    /// The file that it is from, for messages.
+    pub(crate) fn path(&self) -> &Path {
+        let (Self::File(path) | Self::Loaded { archive: path, .. }) = self;
+        path
+    }
 }
 
 /// A training frame before its files are read. A layout need not care that all frames have a file or
@@ -72,10 +102,12 @@ pub(crate) struct PlannedFrame {
 
 /// Where a frame's depth is.
 pub(crate) enum DepthFile {
-    /// An array of disparity, of the picture's size.
+    /// An array of disparity.
     Disparity(PathBuf),
-    /// A 16-bit PNG or an array, in units of `scale` scene units, of any size.
+    /// A 16-bit PNG or an array, in units of `scale` scene units.
     Depth { path: PathBuf, scale: f64 },
+    /// Already read, from an archive, in scene units.
+    Loaded { depth: Map, archive: PathBuf },
 }
 
 /// The time, in training frames, of an instant among the training frames' own (ascending), clamped to

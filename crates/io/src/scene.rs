@@ -1,11 +1,11 @@
 //! A scene: what every layout is turned into.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DVec3};
 use splat_core::Camera;
 
-use crate::{Image, Map, Tracks};
+use crate::{Image, Map, Tracks, Undistortion};
 
 /// How a scene is opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,6 +19,9 @@ pub struct LoadOptions {
     pub images: Option<PathBuf>,
     /// Nothing moves: masks and tracks are not read, and need not be complete.
     pub static_scene: bool,
+    /// Lens distortion is an error. Without this it is undone: pictures, depth, masks and tracks become
+    /// those of a pinhole of the same size whose every pixel lies inside the source picture.
+    pub refuse_distortion: bool,
 }
 
 impl Default for LoadOptions {
@@ -27,6 +30,7 @@ impl Default for LoadOptions {
             downscale: 1,
             images: None,
             static_scene: false,
+            refuse_distortion: false,
         }
     }
 }
@@ -74,6 +78,29 @@ pub struct Frame {
     pub mask: Option<Map>,
 }
 
+/// Folders of truth; what is not there is not known.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TruthFolders {
+    /// The training frames without blur.
+    pub sharp: PathBuf,
+    /// What of test views is seen by some training frame.
+    pub covisible: PathBuf,
+    /// What moves in test views.
+    pub masks_test: PathBuf,
+}
+
+impl TruthFolders {
+    /// Those in `truth/` of a scene.
+    pub(crate) fn of(root: &Path) -> Self {
+        let truth = root.join("truth");
+        Self {
+            sharp: truth.join("images_sharp"),
+            covisible: truth.join("covisible"),
+            masks_test: truth.join("masks_test"),
+        }
+    }
+}
+
 /// Everything that is known of a scene. All training frames have the same size; test views have their own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -93,6 +120,11 @@ pub struct Scene {
     pub points: Vec<SparsePoint>,
     /// 2D tracks through the training frames; None when there are none.
     pub tracks: Option<Tracks>,
+    /// What was undone of each training frame's lens, then of each test view's; empty where no lens
+    /// distorts.
+    pub undistorted: Vec<Option<Undistortion>>,
+    /// Where what is known of its truth lies.
+    pub truth_folders: TruthFolders,
     /// What was resized, ignored or skipped, one sentence each, for the program to print.
     pub notes: Vec<String>,
 }

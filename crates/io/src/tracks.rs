@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::IoError;
 use crate::error::list_names;
 use crate::folder::list;
 use crate::npy::{Array, read_npy, read_npz};
+use crate::{IoError, Undistortion};
 
 /// Where one tracked point is in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,6 +46,28 @@ impl Tracks {
         let samples: usize = self.queries.iter().map(|q| q.samples.len()).sum();
         samples / self.num_frames.max(1)
     }
+
+    /// Undoes the training frames' lenses and makes the frames smaller. A point that no undistorted
+    /// picture can show stays where it is and is hidden.
+    pub(crate) fn follow_pictures(
+        &mut self,
+        undistorted: &[Option<Undistortion>],
+        downscale: usize,
+    ) {
+        /// Logit of a probability that is 1 in f32.
+        const HIDDEN: f32 = 100.0;
+        let samples = self.queries.iter_mut().flat_map(|q| &mut q.samples);
+        for (at, sample) in samples.enumerate() {
+            if let Some(Some(lens)) = undistorted.get(at % self.num_frames) {
+                match lens.point(f64::from(sample.x), f64::from(sample.y)) {
+                    Some((x, y)) => (sample.x, sample.y) = (x as f32, y as f32),
+                    None => sample.occlusion = HIDDEN,
+                }
+            }
+            sample.x /= downscale as f32;
+            sample.y /= downscale as f32;
+        }
+    }
 }
 
 /// The two places that tracks may be in: a folder of N² files, or the same arrays in one archive.
@@ -56,26 +78,30 @@ pub(crate) struct TrackFiles {
 
 impl TrackFiles {
     pub(crate) fn new(preprocessed: &Path) -> Self {
+        Self::in_folder(preprocessed.join("2d_tracks"))
+    }
+
+    /// In this folder, or in an archive of its name beside it.
+    pub(crate) fn in_folder(folder: PathBuf) -> Self {
+        let mut archive = folder.clone().into_os_string();
+        archive.push(".npz");
         Self {
-            folder: preprocessed.join("2d_tracks"),
-            archive: preprocessed.join("2d_tracks.npz"),
+            folder,
+            archive: archive.into(),
         }
     }
 
     /// Reads `{query}_{target}.npy` for every ordered pair of `stems`, from the folder or, where that
-    /// has none, from the archive. None when there are no files, or no tracks in them.
-    pub(crate) fn read(
-        &self,
-        stems: &[String],
-        downscale: usize,
-    ) -> Result<Option<Tracks>, IoError> {
+    /// has none, from the archive, in pixels of the files' own pictures. None when there are no files,
+    /// or no tracks in them.
+    pub(crate) fn read(&self, stems: &[String]) -> Result<Option<Tracks>, IoError> {
         let in_folder = list(&self.folder, &["npy"])?.files;
         if !in_folder.is_empty() {
             let load = |name: &str| match in_folder.get(name) {
                 Some(path) => Ok(Some((read_npy(path)?, path.clone(), name.to_string()))),
                 None => Ok(None),
             };
-            return collect(stems, downscale, &self.folder, load);
+            return collect(stems, &self.folder, load);
         }
         if !self.archive.is_file() {
             return Ok(None);
@@ -88,7 +114,7 @@ impl TrackFiles {
             let found = arrays.remove(name);
             Ok(found.map(|array| (array, self.archive.clone(), format!("entry {name}"))))
         };
-        collect(stems, downscale, &self.archive, load)
+        collect(stems, &self.archive, load)
     }
 }
 
@@ -97,7 +123,6 @@ type Loaded = (Array, PathBuf, String);
 
 fn collect(
     stems: &[String],
-    downscale: usize,
     place: &Path,
     mut load: impl FnMut(&str) -> Result<Option<Loaded>, IoError>,
 ) -> Result<Option<Tracks>, IoError> {
@@ -124,8 +149,8 @@ fn collect(
                 let row = &array.values[4 * point..4 * point + 4];
                 // The format has pixel i at coordinate i.
                 TrackSample {
-                    x: (row[0] + 0.5) / downscale as f32,
-                    y: (row[1] + 0.5) / downscale as f32,
+                    x: row[0] + 0.5,
+                    y: row[1] + 0.5,
                     occlusion: row[2],
                     expected_distance: row[3],
                 }

@@ -1,6 +1,6 @@
 //! `limpid check`: what a scene holds, and whether that can be right.
 
-use crate::config::{Config, RunOptions};
+use crate::config::{Config, Distortion, RunOptions};
 use crate::failure::{Failure, with_causes};
 use crate::say::{print, say};
 use std::fmt::Write as _;
@@ -27,6 +27,9 @@ pub(crate) struct CheckArguments {
     /// Ignore movers: no masks, no tracks.
     #[arg(long = "static")]
     is_static: bool,
+    /// What to do about lens distortion [default: undistort].
+    #[arg(long)]
+    distortion: Option<Distortion>,
 }
 
 pub(crate) fn run(arguments: &CheckArguments) -> Result<ExitCode, Failure> {
@@ -44,6 +47,7 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
         images: arguments.images.clone(),
         downscale: arguments.downscale,
         is_static: arguments.is_static,
+        distortion: arguments.distortion.unwrap_or_default(),
         ..RunOptions::default()
     };
     let settings = Settings::default();

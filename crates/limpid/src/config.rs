@@ -38,8 +38,30 @@ pub(crate) struct RunOptions {
     /// Movers are ignored.
     #[serde(rename = "static")]
     pub(crate) is_static: bool,
+    /// What is done about lens distortion.
+    pub(crate) distortion: Distortion,
     /// Where tensors live.
     pub(crate) backend: Backend,
+}
+
+/// What is done about lens distortion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Distortion {
+    /// Pictures, depth, masks and tracks are undistorted on loading.
+    #[default]
+    Undistort,
+    /// It is an error.
+    Refuse,
+}
+
+impl Distortion {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Undistort => "undistort",
+            Self::Refuse => "refuse",
+        }
+    }
 }
 
 /// Where tensors live.
@@ -197,6 +219,7 @@ impl Config {
             downscale: self.run.factor(),
             images: self.run.images.clone(),
             static_scene: self.run.is_static,
+            refuse_distortion: self.run.distortion == Distortion::Refuse,
         };
         Ok(io::Scene::open_with(dir, &options)?)
     }
@@ -329,9 +352,11 @@ mod tests {
         set(&mut t, "blur.kernel_size=5").expect("set");
         set(&mut t, "loss.gauge=0.5").expect("set");
         set(&mut t, "backend=ndarray").expect("text without quotes");
+        set(&mut t, "distortion=refuse").expect("text without quotes");
         let config = from_table(t, &Config::of(Settings::default())).expect("config");
         assert_eq!(config.run.downscale, Some(2));
         assert_eq!(config.run.backend, Backend::Ndarray);
+        assert_eq!(config.run.distortion, Distortion::Refuse);
         assert_eq!(config.settings.iterations, 500);
         assert_eq!(config.settings.blur.kernel_size, 5);
         assert_eq!(config.settings.loss.gauge, 0.5);

@@ -8,7 +8,14 @@ use toml::{Spanned, Table};
 use trainer::Settings;
 
 /// The keys of a config file that are not settings of the trainer.
-pub(crate) const RUN_KEYS: [&str; 5] = ["scene", "images", "downscale", "static", "backend"];
+pub(crate) const RUN_KEYS: [&str; 6] = [
+    "scene",
+    "images",
+    "downscale",
+    "static",
+    "distortion",
+    "backend",
+];
 
 /// A setting that cannot be what it was said to be.
 #[derive(Debug)]

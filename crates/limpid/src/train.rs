@@ -2,7 +2,7 @@
 
 use crate::check;
 use crate::checkpoints::{self, Checkpoints};
-use crate::config::{self, Backend, CONFIG_FILE, Config};
+use crate::config::{self, Backend, CONFIG_FILE, Config, Distortion};
 use crate::failure::{Failure, with_causes};
 use crate::lock::Lock;
 use crate::log::Log;
@@ -43,6 +43,9 @@ pub(crate) struct TrainArguments {
     /// Ignore movers: no masks, no tracks.
     #[arg(long = "static")]
     is_static: bool,
+    /// What to do about lens distortion [default: undistort].
+    #[arg(long)]
+    distortion: Option<Distortion>,
     /// Where tensors live [default: flex].
     #[arg(long)]
     backend: Option<Backend>,
@@ -330,6 +333,10 @@ impl TrainArguments {
             ("iterations", self.iterations.map(number)),
             ("downscale", self.downscale.map(number)),
             ("static", self.is_static.then_some(Value::Boolean(true))),
+            (
+                "distortion",
+                self.distortion.map(|d| Value::String(d.name().to_owned())),
+            ),
             (
                 "backend",
                 self.backend.map(|b| Value::String(b.name().to_owned())),

@@ -6,7 +6,9 @@ mod text;
 
 use std::path::{Path, PathBuf};
 
-pub(crate) use model::{Model, ModelImage};
+pub(crate) use model::Model;
+#[cfg(test)]
+pub(crate) use model::ModelImage;
 
 use crate::IoError;
 

@@ -7,6 +7,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 use splat_core::Camera;
 
 use crate::camera_model::{Distortion, Lens};
+use crate::plan::{Picture, PlannedView};
 use crate::{IoError, SparsePoint};
 
 /// What is used of a sparse model.
@@ -18,6 +19,32 @@ pub(crate) struct Model {
     pub(crate) cameras_path: PathBuf,
     /// The file with the images, for messages.
     pub(crate) images_path: PathBuf,
+}
+
+impl Model {
+    /// The view of one of its images. Cameras that no view has may be what they like.
+    pub(crate) fn view(
+        &self,
+        posed: &ModelImage,
+        name: &str,
+        image: PathBuf,
+        time: f32,
+    ) -> Result<PlannedView, IoError> {
+        let lens = self.cameras.get(&posed.camera_id).ok_or_else(|| {
+            let (name, id) = (&posed.name, posed.camera_id);
+            let what = format!("image {name} has camera {id}, which is not there");
+            IoError::malformed(&self.images_path, what)
+        })?;
+        let who = format!("camera {}", posed.camera_id);
+        Ok(PlannedView {
+            name: name.into(),
+            image: Picture::File(image),
+            lens: lens.clone().checked(&who, &self.cameras_path)?,
+            camera_file: self.cameras_path.clone(),
+            cam_from_world: posed.cam_from_world,
+            time,
+        })
+    }
 }
 
 /// One posed image of a model.

@@ -3,10 +3,19 @@
 //! A new one is a file here that says in its `LAYOUT` what it looks for and how it plans, and an entry in
 //! [`LAYOUTS`].
 
+mod dyblurf;
+mod dycheck;
+mod megasam;
 mod nerfstudio;
 mod shape_of_motion;
 
 use crate::plan::Layout;
 
 /// A folder that several recognise is read by the first.
-pub(crate) const LAYOUTS: [&Layout; 2] = [&nerfstudio::LAYOUT, &shape_of_motion::LAYOUT];
+pub(crate) const LAYOUTS: [&Layout; 5] = [
+    &nerfstudio::LAYOUT,
+    &shape_of_motion::LAYOUT,
+    &dycheck::LAYOUT,
+    &megasam::LAYOUT,
+    &dyblurf::LAYOUT,
+];

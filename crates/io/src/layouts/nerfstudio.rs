@@ -25,6 +25,7 @@ use crate::error::list_names;
 use crate::folder::{natural_order, stem_of};
 use crate::plan::{DepthFile, Layout, Plan, PlannedFrame, time_between};
 use crate::ply::read_points;
+use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
 
@@ -71,6 +72,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         None => Vec::new(),
     };
     Ok(Plan {
+        truth: TruthFolders::of(root),
         frames,
         test: views,
         points,

@@ -17,9 +17,10 @@ use std::path::{Path, PathBuf};
 
 use pairing::pair;
 
-use crate::colmap::{Model, ModelImage, find_model, read_model};
+use crate::colmap::{find_model, read_model};
 use crate::folder::{Listing, PICTURES, list};
-use crate::plan::{DepthFile, Layout, Plan, PlannedFrame, PlannedView};
+use crate::plan::{DepthFile, Layout, Plan, PlannedFrame};
+use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
 
@@ -65,7 +66,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     for (i, name) in stems.iter().enumerate() {
         let image = images.files[name].clone();
         frames.push(PlannedFrame {
-            view: planned_view(&model, posed(pairing.training[i]), name, image, i as f32)?,
+            view: model.view(posed(pairing.training[i]), name, image, i as f32)?,
             depth: depth.as_ref().map(|d| DepthFile::Disparity(d[i].clone())),
             mask: masks.as_ref().map(|m| m[i].clone()),
         });
@@ -73,9 +74,10 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     let mut test = Vec::new();
     for (name, &(at, time)) in test_stems.iter().zip(&pairing.test) {
         let image = test_images.files[name].clone();
-        test.push(planned_view(&model, posed(at), name, image, time)?);
+        test.push(model.view(posed(at), name, image, time)?);
     }
     Ok(Plan {
+        truth: TruthFolders::of(root),
         frames,
         test,
         points: model.points,
@@ -118,29 +120,4 @@ fn optional(
     }
     let advice = "add them, or remove the folder to do without";
     listing.pick(stems, folder, what, advice).map(Some)
-}
-
-/// The view of one of the model's images. Its camera must be a pinhole; those that no view has may be
-/// what they like.
-fn planned_view(
-    model: &Model,
-    posed: &ModelImage,
-    name: &str,
-    image: PathBuf,
-    time: f32,
-) -> Result<PlannedView, IoError> {
-    let lens = model.cameras.get(&posed.camera_id).ok_or_else(|| {
-        let (name, id) = (&posed.name, posed.camera_id);
-        let what = format!("image {name} has camera {id}, which is not there");
-        IoError::malformed(&model.images_path, what)
-    })?;
-    let who = format!("camera {}", posed.camera_id);
-    Ok(PlannedView {
-        name: name.into(),
-        image,
-        camera: lens.clone().into_pinhole(&who, &model.cameras_path)?,
-        camera_file: model.cameras_path.clone(),
-        cam_from_world: posed.cam_from_world,
-        time,
-    })
 }

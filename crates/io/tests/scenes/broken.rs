@@ -193,12 +193,16 @@ fn missing_files_are_named() {
 
 #[test]
 fn wrong_sizes_are_named() {
-    for file in ["images/00001.png", "masks/00001.png"] {
+    for (file, size, told) in [
+        ("images/00001.png", (WIDTH / 2, HEIGHT / 2), "8x6"),
+        ("masks/00001.png", (WIDTH / 2, HEIGHT), "8x12"),
+    ] {
         let som = Som::new();
-        make::picture(&som.path(file), (WIDTH / 2, HEIGHT / 2), |_, _| 255);
-        let error = error_names(som.root(), file, "half the size");
+        make::picture(&som.path(file), size, |_, _| 255);
+        let error = error_names(som.root(), file, told);
         assert!(matches!(error, IoError::Size { .. }), "{error}");
-        assert!(error.to_string().contains("8x6, expected 16x12"), "{error}");
+        let expected = format!("{told}, expected 16x12");
+        assert!(error.to_string().contains(&expected), "{error}");
     }
     // The odd one is named where it is the first too, which has depth, and where sizes are even in number.
     for (others, odd) in [(vec![], 0), (vec![], 2), (vec![2], 0)] {

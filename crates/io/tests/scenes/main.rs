@@ -1,12 +1,16 @@
-//! Scenes as folders: good ones in both layouts, broken ones, and the real ones where they are there.
+//! Scenes as folders: good ones in each layout, broken ones, and the real ones where they are there.
 #![expect(
     clippy::unwrap_used,
     reason = "a test that cannot make its input has failed"
 )]
 
 mod broken;
+mod distorted;
+mod dyblurf;
+mod dycheck;
 mod make;
 mod masks;
+mod megasam;
 mod nerfstudio;
 mod real;
 mod shape_of_motion;

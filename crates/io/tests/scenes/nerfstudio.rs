@@ -282,25 +282,30 @@ fn pictures_without_a_camera_size_have_that_of_the_turned_ones() {
 }
 
 #[test]
-fn distortion_is_refused() {
+fn distortion_of_each_coefficient_is_undone_and_said() {
+    let said = |scene: &Scene| {
+        let mut notes = scene.notes.iter();
+        notes.find(|n| n.contains("lens distortion")).cloned()
+    };
     for key in ["k1", "k2", "k3", "k4", "p1", "p2"] {
-        open(|t| t[key] = 0.0.into()).unwrap();
-        let error = open(|t| t[key] = 0.05.into()).unwrap_err();
-        assert!(
-            matches!(error, IoError::Distortion { .. }),
-            "{key}: {error}"
-        );
+        let scene = open(|t| t[key] = 0.0.into()).unwrap();
+        assert_eq!(said(&scene), None, "{key}");
+        assert!(scene.undistorted.is_empty());
+        let scene = open(|t| t[key] = 0.05.into()).unwrap();
+        assert!(said(&scene).is_some(), "{key}: {:?}", scene.notes);
     }
-    let error = open(|t| t["k1"] = 0.08.into()).unwrap_err();
-    assert!(error.to_string().contains("0.20 px"), "{error}");
-    let error = open(|t| t["frames"][2]["k1"] = 0.08.into()).unwrap_err();
+    let scene = open(|t| t["k1"] = 0.08.into()).unwrap();
+    assert!(said(&scene).unwrap().contains("up to 0.20 px"));
+    let scene = open(|t| t["frames"][2]["k1"] = 0.08.into()).unwrap();
     assert!(
-        matches!(error, IoError::Distortion { .. }),
-        "on one frame: {error}"
+        said(&scene).unwrap().starts_with("1 of 4 pictures"),
+        "{:?}",
+        scene.notes
     );
-    for model in ["OPENCV_FISHEYE", "EQUIRECTANGULAR"] {
-        open(|t| t["camera_model"] = model.into()).unwrap_err();
-    }
+    let scene = open(|t| t["camera_model"] = "OPENCV_FISHEYE".into()).unwrap();
+    assert!(said(&scene).unwrap().contains("(OPENCV_FISHEYE)"));
+    let error = open(|t| t["camera_model"] = "EQUIRECTANGULAR".into()).unwrap_err();
+    assert!(error.to_string().contains("EQUIRECTANGULAR"), "{error}");
 }
 
 fn depth_png(path: &Path, size: (usize, usize), value: impl Fn(usize) -> u16) {

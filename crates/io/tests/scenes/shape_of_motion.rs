@@ -403,12 +403,16 @@ fn intrinsics_follow_the_pictures_size() {
 }
 
 #[test]
-fn distortion_is_refused_with_its_size() {
+fn distortion_is_measured_for_each_camera_model() {
     let som = Som::new();
     let sparse = som.path("flow3d_preprocessed/colmap/sparse");
     let open = |camera: (i32, &[f64])| {
         colmap_binary(&sparse, &names(2 * FRAMES), camera);
-        Scene::open(som.root())
+        let options = LoadOptions {
+            refuse_distortion: true,
+            ..LoadOptions::default()
+        };
+        Scene::open_with(som.root(), &options)
     };
     for zero in [
         (0, &[FOCAL, 8.0, 6.0][..]),

@@ -232,6 +232,9 @@ fn command(config: &Config, others: &[trainer::Difference]) -> String {
     if run.is_static {
         words.push("--static".to_owned());
     }
+    if run.distortion.name() != "undistort" {
+        words.push(format!("--distortion {}", run.distortion.name()));
+    }
     if run.backend.name() != "flex" {
         words.push(format!("--backend {}", run.backend.name()));
     }
@@ -280,11 +283,12 @@ mod tests {
         });
         config.run.scene = Some("/somewhere/my scene".into());
         config.run.downscale = Some(2);
+        config.run.distortion = crate::config::Distortion::Refuse;
         config.settings.blur.kernel_size = 7;
         let others = differences(&config.settings, &Settings::default());
         assert_eq!(
             command(&config, &others),
-            "limpid train --scene 'my scene' --downscale 2 --set blur.kernel_size=7 --iterations 300"
+            "limpid train --scene 'my scene' --downscale 2 --distortion refuse --set blur.kernel_size=7 --iterations 300"
         );
     }
 

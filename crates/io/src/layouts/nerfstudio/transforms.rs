@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DAffine3, DMat3, DQuat, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use splat_core::Camera;
@@ -11,7 +11,8 @@ use crate::IoError;
 use crate::camera_model::{Distortion, Lens};
 use crate::json::read_json;
 use crate::picture::read_size;
-use crate::plan::PlannedView;
+use crate::plan::{Picture, PlannedView};
+use crate::rotation::{camera_at, nearest_rotation};
 
 #[derive(Deserialize)]
 pub(super) struct Transforms {
@@ -59,10 +60,10 @@ impl Transforms {
         let image = root.join(&entry.file_path);
         Ok(PlannedView {
             name,
-            camera: self
+            lens: self
                 .lens(entry, &image)?
-                .into_pinhole(&entry.file_path, &self.path)?,
-            image,
+                .checked(&entry.file_path, &self.path)?,
+            image: Picture::File(image),
             camera_file: self.path.clone(),
             cam_from_world: cam_from_world(entry, &self.path)?,
             time,
@@ -163,26 +164,16 @@ fn cam_from_world(entry: &Entry, path: &Path) -> Result<DAffine3, IoError> {
         return no_pose("is not 4x4 or 3x4");
     }
     let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
-    let rotation = DMat3::from_cols(column(0), column(1), column(2));
+    let matrix = DMat3::from_cols(column(0), column(1), column(2));
     let center = column(3);
-    let excess = rotation.transpose() * rotation - DMat3::IDENTITY;
-    let off = excess
-        .to_cols_array()
-        .iter()
-        .fold(0.0, |m: f64, v| m.max(v.abs()));
     let last_row_wrong = rows.len() == 4 && rows[3] != [0.0, 0.0, 0.0, 1.0];
-    if !rotation.is_finite() || !center.is_finite() || last_row_wrong {
+    if !matrix.is_finite() || !center.is_finite() || last_row_wrong {
         return no_pose("is no rigid transform");
     }
-    if off > 1e-2 || rotation.determinant() <= 0.0 {
+    let Some(rotation) = nearest_rotation(matrix) else {
         return no_pose("has no rotation in its first three columns (scaled or mirrored)");
-    }
-    // Rounded numbers in the file: the nearest rotation is taken. y and z change sign between the axes.
-    let rotation = DMat3::from_quat(DQuat::from_mat3(&rotation).normalize());
+    };
+    // y and z change sign between the axes.
     let world_from_cam = DMat3::from_cols(rotation.x_axis, -rotation.y_axis, -rotation.z_axis);
-    let cam_from_world = world_from_cam.transpose();
-    Ok(DAffine3::from_mat3_translation(
-        cam_from_world,
-        -(cam_from_world * center),
-    ))
+    Ok(camera_at(center, world_from_cam))
 }
