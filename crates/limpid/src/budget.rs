@@ -40,7 +40,9 @@ pub(crate) fn fit(
 
     // The camera may become cheaper or dearer at its first trial, but not in the same way in a run that is much shorter.
     let course = trainer.course(chosen)?;
-    if let Some(trial) = course.trials.first() {
+    if chosen < most
+        && let Some(trial) = course.trials.first()
+    {
         let far = trial + 1 + WARM + TIMED;
         if far < chosen && tried.seconds(far, &course) < TRIED * total {
             trainer.begin_again(&start, chosen)?;
@@ -55,8 +57,13 @@ pub(crate) fn fit(
         format!(" ({:.3} s where blur is modelled)", tried.settled)
     });
     let mut lines = vec![format!(
-        "{chosen} iterations in the place of {most}: at {:.3} s an iteration{blurred} on {} threads about {} with pictures and scores, \
+        "{chosen} iterations{}: at {:.3} s an iteration{blurred} on {} threads about {} with pictures and scores, \
          behind {} of reading and placing and {} of trying",
+        if chosen < most {
+            format!(" in the place of {most}")
+        } else {
+            " fit, as many as were asked for".to_owned()
+        },
         tried.sharp,
         rayon::current_num_threads(),
         told(needed),
@@ -69,7 +76,9 @@ pub(crate) fn fit(
             told(total)
         ));
     }
-    lines.push(expected_loss(chosen).to_owned());
+    if chosen < most {
+        lines.push(expected_loss(chosen).to_owned());
+    }
     Ok(lines)
 }
 
