@@ -39,10 +39,8 @@ fn as_many_iterations_as_fit_and_the_run_can_be_repeated() -> Result<(), Box<dyn
     );
     assert!(said.contains("is expected"), "{said}");
     assert!((200..40_000).contains(&chosen), "{chosen}");
-    // A machine that others use may become slower on the way, or faster: by this much it does not.
-    if chosen > 200 {
-        assert!((2.0..60.0).contains(&took), "{took} s in the place of 12");
-    }
+    // The length is kept, not the time, and a machine that others use may become slower on the way: by this much it does not.
+    assert!(chosen == 200 || took < 180.0, "{took} s in the place of 12");
 
     let again = folder.path().join("again");
     let config = out.join("config.json");
