@@ -335,6 +335,7 @@ fn right_after_initialisation_the_canonical_time_is_the_identity() {
     property("time t0", 300, |u| {
         let options = InitOptions {
             num_bases: u.int_in_range(1..=6)?,
+            fewest: false,
             seed: u.arbitrary()?,
         };
         let init = initialize(&tracks(u)?, &options).expect("a track is visible");

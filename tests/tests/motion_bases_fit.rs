@@ -185,6 +185,7 @@ fn two_movers_are_recovered_and_the_fit_improves_them() {
                 &scene.tracks,
                 &InitOptions {
                     num_bases: 20,
+                    fewest: false,
                     seed: 1,
                 },
             )
@@ -226,6 +227,7 @@ fn hidden_tracks_pull_towards_their_pixels() {
             &scene.tracks,
             &InitOptions {
                 num_bases: 2,
+                fewest: false,
                 seed: 1,
             },
         )
@@ -262,6 +264,7 @@ fn the_loss_has_the_right_gradient() {
             &scene.tracks,
             &InitOptions {
                 num_bases: 3,
+                fewest: false,
                 seed: 2,
             },
         )
@@ -329,6 +332,7 @@ fn thin_data_can_be_fitted() {
                     &scene.tracks,
                     &InitOptions {
                         num_bases: 20,
+                        fewest: false,
                         seed: 1,
                     },
                 )
@@ -361,6 +365,7 @@ fn tracks_dealt_into_groups_are_all_fitted() {
             &scene.tracks,
             &InitOptions {
                 num_bases: 2,
+                fewest: false,
                 seed: 1,
             },
         )
@@ -389,6 +394,7 @@ fn wrong_cameras_are_refused() {
         &scene.tracks,
         &InitOptions {
             num_bases: 2,
+            fewest: false,
             seed: 1,
         },
     )
@@ -424,6 +430,7 @@ fn the_fit_has_the_same_bits_with_one_thread_and_with_two() {
                     &scene.tracks,
                     &InitOptions {
                         num_bases: 8,
+                        fewest: false,
                         seed: 4,
                     },
                 )

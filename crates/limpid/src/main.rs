@@ -1,5 +1,6 @@
 //! The `limpid` program: trains, renders and scores.
 
+mod budget;
 mod check;
 mod checkpoints;
 mod clip;

@@ -1,5 +1,6 @@
 //! Whether main memory will do, before a run finds out.
 
+use crate::config::Config;
 use crate::say::say;
 use std::fs;
 use std::path::Path;
@@ -25,6 +26,12 @@ pub(crate) fn warn(trainer: &Trainer, downscale: usize) {
             mib(given)
         );
     }
+}
+
+/// Bytes of main memory that a run takes at its peak, about; `None` where tensors live elsewhere.
+pub(crate) fn expected(trainer: &Trainer, config: &Config) -> Option<u64> {
+    let need = trainer.memory_need(trainer.most_gaussians());
+    config.run.backend.is_cpu().then(|| need.total())
 }
 
 /// What makes a need fit into what is given; `None` where it fits.

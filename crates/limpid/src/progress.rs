@@ -84,6 +84,11 @@ impl Progress {
         }
     }
 
+    /// Says a line without disturbing the bar.
+    pub(crate) fn say(&self, line: &str) {
+        self.bar.suspend(|| say!("{line}"));
+    }
+
     /// Takes the bar away.
     pub(crate) fn finish(&self) {
         self.bar.finish_and_clear();

@@ -1,5 +1,6 @@
 //! `limpid train`.
 
+use crate::budget::{self, Forecast};
 use crate::check;
 use crate::checkpoints::{self, Checkpoints};
 use crate::config::{self, Backend, CONFIG_FILE, Config, Distortion};
@@ -31,6 +32,9 @@ pub(crate) struct TrainArguments {
     /// Number of iterations [default: 40000].
     #[arg(long, value_name = "N")]
     iterations: Option<usize>,
+    /// Train as many iterations as fit into so many minutes on this machine, start and end included; no more than otherwise.
+    #[arg(long, value_name = "M", value_parser = minutes, conflicts_with = "resume")]
+    minutes: Option<f64>,
     /// Make pictures smaller by this factor.
     #[arg(long, value_name = "F")]
     downscale: Option<usize>,
@@ -151,6 +155,7 @@ impl Started {
         let stop = Stop::listen()?;
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
+        let mut forecast = Forecast::new(trainer, memory::expected(trainer, config));
         while !trainer.is_done() && !stop.is_asked() {
             let started = Instant::now();
             let step = trainer.step();
@@ -168,6 +173,9 @@ impl Started {
                 }
             };
             progress.show(&report);
+            if let Some(line) = forecast.after(report.iteration, Instant::now()) {
+                progress.say(&line);
+            }
             log.add(&report, trainer.run().seconds());
             let asked = save.take();
             if !trainer.is_done() && (asked || checkpoints.is_due(report.iteration)) {
@@ -203,6 +211,7 @@ impl Started {
 impl TrainArguments {
     /// A new run.
     fn begin(&self) -> Result<Started, Failure> {
+        let began = Instant::now();
         let defaults = match self.profile {
             Some(Profile::Paper) => Settings::paper(),
             None => Settings::default(),
@@ -225,9 +234,16 @@ impl TrainArguments {
         }
         check::before_training(&scene, self.force)?;
         let settings = config.settings.clone();
-        let trainer = during("fitting motion and placing Gaussians", || {
+        let mut trainer = during("fitting motion and placing Gaussians", || {
             Trainer::new(scene, settings, &device)
         })?;
+        if let Some(minutes) = self.minutes {
+            let lines = during("trying how long an iteration takes", || {
+                budget::fit(&mut trainer, minutes, began)
+            })?;
+            lines.iter().for_each(|line| say!("{line}"));
+            config.settings.iterations = trainer.settings().iterations;
+        }
         std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
         let lock = match early {
             Some(lock) => lock,
@@ -392,6 +408,15 @@ fn to_go_on(out: &Path) -> String {
         }
     };
     format!("{} train --resume --out {}", word(&program), word(out))
+}
+
+fn minutes(text: &str) -> Result<f64, String> {
+    let minutes: f64 = text.parse().map_err(|e| format!("{e}"))?;
+    if minutes.is_finite() && minutes > 0.0 {
+        Ok(minutes)
+    } else {
+        Err("must be a positive number of minutes, such as 5 or 0.5".to_owned())
+    }
 }
 
 fn absolute(scene: &Path) -> Result<PathBuf, Failure> {

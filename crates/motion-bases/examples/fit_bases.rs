@@ -16,7 +16,14 @@ fn main() -> Result<(), motion_bases::MotionError> {
         confidence: vec![1.0; entries],
         colors: vec![[0.5; 3]; entries / num_frames],
     };
-    let init = motion_bases::initialize(&tracks, &InitOptions { num_bases, seed })?;
+    let init = motion_bases::initialize(
+        &tracks,
+        &InitOptions {
+            num_bases,
+            fewest: false,
+            seed,
+        },
+    )?;
     let device = Device::flex().autodiff();
     let (cam_from_world, [fx, fy, cx, cy]) = (DAffine3::IDENTITY, [50.0, 50.0, 32.0, 24.0]);
     #[rustfmt::skip]

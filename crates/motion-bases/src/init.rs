@@ -5,6 +5,7 @@ use crate::MotionError;
 use crate::basis_init::{cluster_motion, without_gaps};
 use crate::clustering::cluster;
 use crate::merging::{Cluster, merge};
+use crate::selection::fewest;
 use crate::statistics::{half_range, median_point};
 use crate::tracks::Tracks3d;
 use glam::{DAffine3, DVec3};
@@ -23,6 +24,8 @@ const MIN_SHARE: usize = 400;
 pub struct InitOptions {
     /// Largest number of bases; fewer are returned where the tracks do not support as many.
     pub num_bases: usize,
+    /// Whether there are to be only as many as it takes to foretell tracks that they were not fitted to.
+    pub fewest: bool,
     /// Seed of the clustering.
     pub seed: u64,
 }
@@ -34,6 +37,8 @@ pub struct MotionInit {
     pub canonical_frame: usize,
     /// Number of bases B.
     pub num_bases: usize,
+    /// Number of motions that were told apart, of which [`InitOptions::fewest`] leaves B.
+    pub num_motions: usize,
     /// 6D rotations, [B, N, 6].
     pub rots: Vec<f64>,
     /// Translations in scene units, [B, N, 3].
@@ -93,7 +98,11 @@ pub fn initialize(tracks: &Tracks3d, options: &InitOptions) -> Result<MotionInit
             members,
         })
         .collect();
-    let clusters = merge(&filled, canonical_frame, extent, with_motion(clusters));
+    let mut clusters = merge(&filled, canonical_frame, extent, with_motion(clusters));
+    let num_motions = clusters.len();
+    if options.fewest {
+        clusters = fewest(&filled, canonical_frame, extent, clusters);
+    }
     let at = |&row: &usize| filled.positions[filled.index(row, canonical_frame)];
     let centers: Vec<DVec3> = clusters
         .iter()
@@ -107,6 +116,7 @@ pub fn initialize(tracks: &Tracks3d, options: &InitOptions) -> Result<MotionInit
     Ok(MotionInit {
         canonical_frame,
         num_bases: clusters.len(),
+        num_motions,
         rots: motions.iter().flat_map(six_numbers).collect(),
         transls: motions
             .iter()
@@ -235,7 +245,11 @@ mod tests {
     }
 
     fn options(num_bases: usize) -> InitOptions {
-        InitOptions { num_bases, seed: 3 }
+        InitOptions {
+            num_bases,
+            fewest: false,
+            seed: 3,
+        }
     }
 
     fn motion(init: &MotionInit, basis: usize, frame: usize) -> DAffine3 {

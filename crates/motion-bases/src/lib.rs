@@ -33,6 +33,7 @@ mod ops;
 mod procrustes;
 mod quaternion;
 mod rotation;
+mod selection;
 mod smoothness;
 mod statistics;
 mod tracks;

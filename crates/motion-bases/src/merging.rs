@@ -33,22 +33,7 @@ pub(crate) fn merge(
     extent: f64,
     mut clusters: Vec<Cluster>,
 ) -> Vec<Cluster> {
-    let typical = |motion: &Cluster, of: &Cluster| {
-        frame_errors(tracks, canonical, &motion.motion, &of.members)
-    };
-    let pair_cost = |a: &Cluster, b: &Cluster| {
-        let (large, small) = if a.members.len() > b.members.len() {
-            (a, b)
-        } else {
-            (b, a)
-        };
-        excess(
-            &typical(large, small),
-            &typical(small, small),
-            small.members.len(),
-            extent,
-        )
-    };
+    let pair_cost = |a: &Cluster, b: &Cluster| pair_cost(tracks, canonical, extent, a, b);
     // costs[a][b], b < a; under 1 for a pair to merge.
     let mut costs: Vec<Vec<f64>> = (0..clusters.len())
         .map(|a| {
@@ -70,19 +55,67 @@ pub(crate) fn merge(
         if cost >= 1.0 {
             return clusters;
         }
-        let from = clusters.remove(a);
+        absorb(tracks, canonical, &mut clusters, a, b);
         costs.remove(a);
         for row in &mut costs[a..] {
             row.remove(a);
         }
-        let into = &mut clusters[b];
-        into.members.extend(from.members);
-        into.members.sort_unstable();
-        into.motion = cluster_motion(tracks, &into.members, canonical);
         for other in (0..clusters.len()).filter(|&other| other != b) {
             costs[other.max(b)][other.min(b)] = pair_cost(&clusters[other], &clusters[b]);
         }
     }
+}
+
+/// One cluster fewer: the two whose motions are most alike are one. `None` where no two can be compared.
+pub(crate) fn merge_closest(
+    tracks: &Tracks3d,
+    canonical: usize,
+    extent: f64,
+    clusters: &[Cluster],
+) -> Option<Vec<Cluster>> {
+    let pairs = (0..clusters.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
+    let costs = pairs.map(|(a, b)| {
+        let cost = pair_cost(tracks, canonical, extent, &clusters[a], &clusters[b]);
+        (cost, a, b)
+    });
+    let comparable = costs.filter(|(cost, ..)| cost.is_finite());
+    let (_, a, b) = comparable.min_by(|x, y| x.0.total_cmp(&y.0))?;
+    let mut fewer = clusters.to_vec();
+    absorb(tracks, canonical, &mut fewer, a, b);
+    Some(fewer)
+}
+
+/// Lets cluster `into` have the tracks of cluster `from`, which is behind it and goes.
+fn absorb(
+    tracks: &Tracks3d,
+    canonical: usize,
+    clusters: &mut Vec<Cluster>,
+    from: usize,
+    into: usize,
+) {
+    let from = clusters.remove(from);
+    let into = &mut clusters[into];
+    into.members.extend(from.members);
+    into.members.sort_unstable();
+    into.motion = cluster_motion(tracks, &into.members, canonical);
+}
+
+/// How badly the motion of the larger of two clusters explains the tracks of the smaller; see [`excess`].
+fn pair_cost(tracks: &Tracks3d, canonical: usize, extent: f64, a: &Cluster, b: &Cluster) -> f64 {
+    let typical = |motion: &Cluster, of: &Cluster| {
+        frame_errors(tracks, canonical, &motion.motion, &of.members)
+    };
+    let (large, small) = if a.members.len() > b.members.len() {
+        (a, b)
+    } else {
+        (b, a)
+    };
+    excess(
+        &typical(large, small),
+        &typical(small, small),
+        small.members.len(),
+        extent,
+    )
 }
 
 /// The root mean square of the errors over that which is allowed, given those of the cluster's own

@@ -45,6 +45,7 @@ pub(crate) fn start_dynamics(
         &tracks,
         &InitOptions {
             num_bases: settings.motion.num_bases,
+            fewest: settings.motion.fewest_bases,
             seed,
         },
     )?;
@@ -144,7 +145,15 @@ pub(crate) fn start_dynamics(
     let scales = clamped_scales(&means);
     let colors = chosen.iter().map(|&p| init.tracks.colors[p]).collect();
     let note = format!(
-        "{kept} tracks, {bases} motion bases, canonical frame {canonical}, {} dynamic Gaussians",
+        "{kept} tracks, {bases} motion bases{}, canonical frame {canonical}, {} dynamic Gaussians",
+        if bases < init.num_motions {
+            format!(
+                " (of {} motions that were told apart; tracks that were left out need no more)",
+                init.num_motions
+            )
+        } else {
+            String::new()
+        },
         chosen.len()
     );
     let rows: Vec<i64> = chosen.iter().map(|&p| p as i64).collect();

@@ -152,6 +152,8 @@ impl GaussianSettings {
 pub struct MotionSettings {
     /// Number of motion bases N_b.
     pub num_bases: usize,
+    /// Whether there are only as many bases as the tracks themselves need, by cross-validation.
+    pub fewest_bases: bool,
     /// At most so many 2D tracks are lifted.
     pub max_tracks: usize,
     /// Steps of the first fit of the bases to the tracks.
@@ -168,6 +170,7 @@ impl Default for MotionSettings {
     fn default() -> Self {
         Self {
             num_bases: 20,
+            fewest_bases: false,
             max_tracks: 40_000,
             first_fit_steps: 1000,
             densify: true,

@@ -1,0 +1,356 @@
+//! How long a run takes: as many iterations as fit into a time, and what a run will take as it is. All of it is measured in this
+//! very run: no machine's speed is known beforehand.
+
+use crate::failure::Failure;
+use std::time::Instant;
+use trainer::{BlurModel, Course, Trainer};
+
+/// The first iterations of a part of a run take longer, and do not count.
+const WARM: usize = 5;
+/// So many behind them do.
+const TIMED: usize = 20;
+/// Trying a longer run until its first trial is over may take this share of the time.
+const TRIED: f64 = 0.25;
+/// Where no trial was timed: one looks at each frame as long as so many iterations do, about.
+const TRIAL_LOOKS: f64 = 4.0;
+/// Kernels over the camera begin in the middle of a run, where nobody tries: a run is so many times longer for them (RESULTS.md).
+const KERNELS_ON_TOP: f64 = 1.2;
+/// What is aimed at: iterations become a little slower while Gaussians are added.
+const AIM: f64 = 0.93;
+/// At the end each picture is rendered, encoded and scored, which takes so many times what rendering it takes, about.
+const SHOWN: f64 = 2.5;
+
+/// Gives a run that is to begin as many iterations as fit into some minutes since `began`, no more than it was to have. Says how
+/// many, and what to expect of them.
+pub(crate) fn fit(
+    trainer: &mut Trainer,
+    minutes: f64,
+    began: Instant,
+) -> Result<Vec<String>, Failure> {
+    let (start, most) = (trainer.start(), trainer.settings().iterations);
+    let least = Trainer::LEAST_ITERATIONS;
+    let (total, up) = (60.0 * minutes, began.elapsed().as_secs_f64());
+
+    trainer.begin_again(&start, least)?;
+    let course = trainer.course(least)?;
+    let far = course.blurred_from.unwrap_or(0) + WARM + TIMED;
+    let mut tried = Tried::of(trainer, far.min(least), &course)?;
+    let left = |ending: f64| AIM * (total - began.elapsed().as_secs_f64()) - ending;
+    let mut chosen = tried.longest(trainer, least, most, left(tried.ending))?;
+
+    // The camera may become cheaper or dearer at its first trial, but not in the same way in a run that is much shorter.
+    let course = trainer.course(chosen)?;
+    if chosen < most
+        && let Some(trial) = course.trials.first()
+    {
+        let far = trial + 1 + WARM + TIMED;
+        if far < chosen && tried.seconds(far, &course) < TRIED * total {
+            trainer.begin_again(&start, chosen)?;
+            tried = Tried::of(trainer, far, &course)?;
+            chosen = tried.longest(trainer, least, most, left(tried.ending))?;
+        }
+    }
+    let needed = tried.seconds(chosen, &trainer.course(chosen)?) + tried.ending;
+    let spent = began.elapsed().as_secs_f64();
+    trainer.begin_again(&start, chosen)?;
+    let blurred = course.blurred_from.map_or_else(String::new, |_| {
+        format!(" ({:.3} s where blur is modelled)", tried.settled)
+    });
+    let mut lines = vec![format!(
+        "{chosen} iterations{}: at {:.3} s an iteration{blurred} on {} threads about {} with pictures and scores, \
+         behind {} of reading and placing and {} of trying",
+        if chosen < most {
+            format!(" in the place of {most}")
+        } else {
+            " fit, as many as were asked for".to_owned()
+        },
+        tried.sharp,
+        rayon::current_num_threads(),
+        told(needed),
+        told(up),
+        told(spent - up),
+    )];
+    if spent + needed > total {
+        lines.push(format!(
+            "warning: that is more than {}, but no run is shorter than {least} iterations; a larger --downscale makes each faster",
+            told(total)
+        ));
+    }
+    if chosen < most {
+        lines.push(expected_loss(chosen).to_owned());
+    }
+    Ok(lines)
+}
+
+/// What to expect of the length of a run, by what is in RESULTS.md (What a shorter run loses).
+fn expected_loss(iterations: usize) -> &'static str {
+    match iterations {
+        10_000.. => {
+            "no loss is expected against longer runs: from 10,000 iterations on they gained nothing where frames are blurred"
+        }
+        3000.. => {
+            "a loss of up to 0.5 dB against 10,000 iterations is expected, and none where motion blurs the frames"
+        }
+        1500.. => "a loss of up to 2 dB against 3,000 iterations is expected",
+        1000.. => "a loss of 2 to 5 dB against 3,000 iterations is expected",
+        500.. => "a loss of 3 to 7 dB against 3,000 iterations is expected",
+        _ => "a loss of 5 to 10 dB against 3,000 iterations is expected",
+    }
+}
+
+/// Seconds that parts of a run take, as tried.
+#[derive(Clone, Copy, Debug)]
+struct Tried {
+    /// An iteration before blur is modelled.
+    sharp: f64,
+    /// One behind that, before the first trial.
+    blurred: f64,
+    /// One behind the first trial.
+    settled: f64,
+    /// A trial.
+    trial: f64,
+    /// Pictures, scores and report.
+    ending: f64,
+}
+
+impl Tried {
+    /// Trains so many iterations, and looks at a view.
+    fn of(trainer: &mut Trainer, iterations: usize, course: &Course) -> Result<Self, Failure> {
+        let mut seconds = Vec::with_capacity(iterations);
+        for _ in 0..iterations {
+            let before = Instant::now();
+            trainer.step()?;
+            seconds.push(before.elapsed().as_secs_f64());
+        }
+        let views = trainer.run().views();
+        let before = Instant::now();
+        trainer.run().render_training_view(views.train.len() / 2)?;
+        let pictures = views.train.len() + views.test.len();
+        let ending = SHOWN * pictures as f64 * before.elapsed().as_secs_f64();
+        let mut tried = Self::by(&seconds, course, views.train.len());
+        if matches!(trainer.model().blur, BlurModel::Both(_)) {
+            tried.settled *= KERNELS_ON_TOP;
+        }
+        Ok(Self { ending, ..tried })
+    }
+
+    /// By the seconds of the first iterations of such a run.
+    fn by(seconds: &[f64], course: &Course, frames: usize) -> Self {
+        let done = seconds.len();
+        let from = course.blurred_from.unwrap_or(done).min(done);
+        let trial = course.trials.first().copied().filter(|t| t + 1 < done);
+        let mean = |from: usize, until: usize| {
+            let from = (from + WARM).min(until.saturating_sub(1));
+            let part = &seconds[from..until];
+            (!part.is_empty()).then(|| part.iter().sum::<f64>() / part.len() as f64)
+        };
+        let blurred = mean(from, trial.unwrap_or(done)).filter(|_| from < done);
+        let sharp = mean(0, from).or(blurred).unwrap_or(0.0);
+        let blurred = blurred.unwrap_or(sharp);
+        let settled = trial.and_then(|t| mean(t + 1, done)).unwrap_or(blurred);
+        let trial = trial.map(|t| (seconds[t] - settled).max(0.0));
+        Self {
+            sharp,
+            blurred,
+            settled,
+            trial: trial.unwrap_or(TRIAL_LOOKS * frames as f64 * blurred),
+            ending: 0.0,
+        }
+    }
+
+    /// Of so many iterations of a run with such a course.
+    fn seconds(&self, iterations: usize, course: &Course) -> f64 {
+        let from = course.blurred_from.unwrap_or(iterations).min(iterations);
+        let trial = course.trials.first().copied().unwrap_or(iterations);
+        let trial = trial.clamp(from, iterations);
+        let trials = course.trials.iter().filter(|t| **t < iterations).count();
+        from as f64 * self.sharp
+            + (trial - from) as f64 * self.blurred
+            + (iterations - trial) as f64 * self.settled
+            + trials as f64 * self.trial
+    }
+
+    /// The longest run that takes no more than so many seconds; the shortest there is where none does.
+    fn longest(
+        &self,
+        trainer: &Trainer,
+        least: usize,
+        most: usize,
+        seconds: f64,
+    ) -> Result<usize, Failure> {
+        largest(least, most, |n| {
+            Ok(self.seconds(n, &trainer.course(n)?) <= seconds)
+        })
+    }
+}
+
+/// The largest number from `least` to `most` that fits, where all below one that fits do; `least` where none does.
+fn largest(
+    least: usize,
+    most: usize,
+    mut fits: impl FnMut(usize) -> Result<bool, Failure>,
+) -> Result<usize, Failure> {
+    let (mut low, mut high) = (least, most.max(least));
+    while low < high {
+        let middle = (low + high).div_ceil(2);
+        if fits(middle)? {
+            low = middle;
+        } else {
+            high = middle - 1;
+        }
+    }
+    Ok(low)
+}
+
+/// Tells behind the first iterations of a run, and of its part with blur, how long it will take.
+pub(crate) struct Forecast {
+    /// The iterations behind which these parts begin, the next one last.
+    parts: Vec<usize>,
+    /// When the first iterations of the part were over.
+    warm: Option<Instant>,
+    iterations: usize,
+    /// What else there is to say behind the first part.
+    memory: String,
+}
+
+impl Forecast {
+    /// Of a run as it is now.
+    pub(crate) fn new(trainer: &Trainer, memory: Option<u64>) -> Self {
+        let mut parts = vec![trainer.iteration()];
+        let blurred = trainer.schedule().blur_moments.first().copied();
+        parts.extend(blurred.filter(|from| *from > trainer.iteration() + WARM + TIMED));
+        parts.reverse();
+        Self {
+            parts,
+            warm: None,
+            iterations: trainer.settings().iterations,
+            memory: memory.map_or_else(String::new, |bytes| {
+                format!(", and {} MiB of memory at most", bytes >> 20)
+            }),
+        }
+    }
+
+    /// After an iteration, at some moment: a line where there is something to tell.
+    pub(crate) fn after(&mut self, iteration: usize, now: Instant) -> Option<String> {
+        let part = *self.parts.last()?;
+        if iteration == part + WARM {
+            self.warm = Some(now);
+        }
+        if iteration < part + WARM + TIMED {
+            return None;
+        }
+        self.parts.pop();
+        let pace = (now - self.warm?).as_secs_f64() / TIMED as f64;
+        let left = told(pace * self.iterations.saturating_sub(iteration) as f64);
+        let threads = rayon::current_num_threads();
+        let memory = std::mem::take(&mut self.memory);
+        Some(match self.parts.last() {
+            Some(next) => format!(
+                "expects at least {left} on {threads} threads, more once blur is modelled (from iteration {} on){memory}",
+                next + 1
+            ),
+            None => format!(
+                "expects about {left} more on {threads} threads, at {pace:.3} s an iteration{memory}; --minutes M makes a run of M minutes"
+            ),
+        })
+    }
+}
+
+/// A time, for people.
+fn told(seconds: f64) -> String {
+    match seconds {
+        s if s < 100.0 => format!("{s:.0} s"),
+        s if s < 6000.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn course(n: usize) -> Course {
+        let from = 250.min(n / 4);
+        Course {
+            blurred_from: Some(from),
+            trials: vec![from + 80, from + 160],
+        }
+    }
+
+    /// Of a machine with these seconds an iteration, which warms up at the beginning of each part.
+    fn timed(iterations: usize, course: &Course) -> Vec<f64> {
+        let second = |it: usize| {
+            let from = course.blurred_from.unwrap_or(usize::MAX);
+            let trial = course.trials.first().copied().unwrap_or(usize::MAX);
+            let base = match it {
+                i if i < from => 0.02,
+                i if i < trial => 0.08,
+                i if i == trial => 4.0,
+                _ => 0.05,
+            };
+            let begun = [0, from, trial.saturating_add(1)];
+            let warms = begun.iter().any(|b| it >= *b && it - b < WARM);
+            base * if warms && it != trial { 10.0 } else { 1.0 }
+        };
+        (0..iterations).map(second).collect()
+    }
+
+    #[test]
+    fn paces_come_back_from_what_was_timed() {
+        let tried = Tried::by(&timed(400, &course(1000)), &course(1000), 16);
+        let found = [tried.sharp, tried.blurred, tried.settled, tried.trial];
+        for (found, expected) in found.iter().zip([0.02, 0.08, 0.05, 3.95]) {
+            assert!((found - expected).abs() < 1e-9, "{tried:?}");
+        }
+        // Before a trial is timed, what follows is taken to be as dear as what was seen.
+        let tried = Tried::by(&timed(75, &course(200)), &course(200), 16);
+        assert!((tried.settled - 0.08).abs() < 1e-9, "{tried:?}");
+        assert!(tried.trial > 1.0, "{tried:?}");
+        let never = Course {
+            blurred_from: None,
+            trials: Vec::new(),
+        };
+        let tried = Tried::by(&timed(25, &never), &never, 16);
+        assert!((tried.settled - 0.02).abs() < 1e-9, "{tried:?}");
+        assert!((tried.seconds(1000, &never) - 20.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_longest_run_that_fits_is_found() {
+        let tried = Tried::by(&timed(400, &course(1000)), &course(1000), 16);
+        for seconds in [0.0, 5.0, 60.0, 600.0, 1e9] {
+            let fits = |n: usize| tried.seconds(n, &course(n)) <= seconds;
+            let found = largest(200, 40_000, |n| Ok(fits(n))).expect("a number");
+            let expected = (200..=40_000).rev().find(|n| fits(*n)).unwrap_or(200);
+            assert_eq!(found, expected, "{seconds} s");
+        }
+    }
+
+    #[test]
+    fn a_run_tells_what_it_will_take_once_a_part() {
+        let start = Instant::now();
+        let mut forecast = Forecast {
+            parts: vec![250, 0],
+            warm: None,
+            iterations: 1000,
+            memory: String::new(),
+        };
+        let mut now = start;
+        let mut said = Vec::new();
+        for it in 1..=1000 {
+            now += Duration::from_millis(if it <= 250 { 20 } else { 80 });
+            said.extend(forecast.after(it, now).map(|line| (it, line)));
+        }
+        assert_eq!(said.len(), 2, "{said:?}");
+        assert!(
+            said[0].0 < 250 && said[0].1.contains("at least 20 s"),
+            "{said:?}"
+        );
+        assert!(said[0].1.contains("iteration 251"), "{said:?}");
+        assert!(
+            said[1].0 > 250 && said[1].1.contains("about 58 s more"),
+            "{said:?}"
+        );
+    }
+}

@@ -1,0 +1,90 @@
+//! The length of a run, chosen by whoever has tried how long an iteration takes.
+
+use crate::TrainError;
+use crate::blur::BlurModel;
+use crate::corrections::Corrections;
+use crate::model::Model;
+use crate::plan::schedule_of;
+use crate::run::Run;
+use crate::settings::{LEAST_ITERATIONS, Settings};
+use crate::state::State;
+use crate::trainer::Trainer;
+use crate::world::World;
+use burn::tensor::DType;
+
+/// What a run begins with, whatever its length.
+#[derive(Clone, Debug)]
+pub struct Start(World);
+
+/// When the costly parts of a run come.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Course {
+    /// Frames are blurred after this iteration; `None` where blur is not modelled.
+    pub blurred_from: Option<usize>,
+    /// Every frame is looked at in several ways after each of these iterations.
+    pub trials: Vec<usize>,
+}
+
+impl Trainer {
+    /// The shortest run that there is.
+    pub const LEAST_ITERATIONS: usize = LEAST_ITERATIONS;
+
+    /// What this run begins with, to [begin again](Self::begin_again) from; to be asked for before the first iteration.
+    #[must_use]
+    pub fn start(&self) -> Start {
+        Start(self.model().world.clone())
+    }
+
+    /// Begins again as a run of so many iterations, as if this one had not been.
+    ///
+    /// # Errors
+    /// The number of iterations is out of its range; the run is as it was then.
+    pub fn begin_again(&mut self, start: &Start, iterations: usize) -> Result<(), TrainError> {
+        let settings = self.settings_of(iterations);
+        settings.validate()?;
+        let blur = self.untrained_blur(&settings)?;
+        let Run {
+            plan,
+            state,
+            device,
+            ..
+        } = &mut self.run;
+        let options = (&*device, DType::F32);
+        let model = Model {
+            world: start.0.clone(),
+            blur,
+            corrections: Corrections::new(&settings, &plan.survey, &plan.views, options),
+        };
+        let unseen = !self.data.unseen.is_empty();
+        plan.schedule = schedule_of(&settings, &plan.views, &model, unseen);
+        plan.settings = settings;
+        *state = State::new(model);
+        Ok(())
+    }
+
+    /// The course of a run of so many iterations on this scene.
+    ///
+    /// # Errors
+    /// There is no blur model for such views.
+    pub fn course(&self, iterations: usize) -> Result<Course, TrainError> {
+        let blur = self.untrained_blur(&self.settings_of(iterations))?;
+        let moments = blur.moments();
+        let is_trial = |moment: &usize| *moment < iterations && blur.revises(*moment);
+        Ok(Course {
+            blurred_from: moments.first().copied(),
+            trials: moments.iter().copied().filter(is_trial).collect(),
+        })
+    }
+
+    fn settings_of(&self, iterations: usize) -> Settings {
+        Settings {
+            iterations,
+            ..self.settings().clone()
+        }
+    }
+
+    fn untrained_blur(&self, settings: &Settings) -> Result<BlurModel, TrainError> {
+        let Run { plan, device, .. } = &self.run;
+        BlurModel::new(settings, &plan.survey, &plan.views, (device, DType::F32))
+    }
+}
