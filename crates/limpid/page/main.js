@@ -37,7 +37,7 @@ report.ready = (async () => {
   showHead(facts);
   // The rest first has its place, then the scene comes: nothing jumps.
   await showScene(facts);
-  report.wipe = new Wipe(facts, gallery, report.viewer && goTo);
+  report.wipe = new Wipe([{ name: facts.name, facts, gallery }], report.viewer && goTo);
   showBlur(report.wipe);
   showCurves(facts);
   showScores(facts.metrics, (test, name) => {

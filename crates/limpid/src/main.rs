@@ -3,6 +3,7 @@
 mod check;
 mod checkpoints;
 mod clip;
+mod compare;
 mod config;
 mod devices;
 mod eval;
@@ -15,7 +16,9 @@ mod memory;
 mod moments;
 mod numbered;
 mod outputs;
+mod page;
 mod progress;
+mod refresh;
 mod render;
 mod report;
 mod say;
@@ -59,6 +62,8 @@ enum Command {
     Export(export::ExportArguments),
     /// Score a trained scene on its test views.
     Eval(eval::EvalArguments),
+    /// Hold several runs against each other: a table, and a page with their pictures side by side.
+    Compare(compare::CompareArguments),
     /// Look whether a scene's files fit each other: exit code 0, 1 (doubtful) or 2 (wrong).
     Check(check::CheckArguments),
     /// Show a run's report in the browser, served on the loopback address.
@@ -88,6 +93,7 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
         Command::View(arguments) => view::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),

@@ -2,7 +2,6 @@
 
 mod facts;
 mod gallery;
-mod page;
 mod splats;
 
 pub(crate) use gallery::Gallery;
@@ -10,10 +9,11 @@ pub(crate) use gallery::Gallery;
 use crate::config::Config;
 use crate::failure::Failure;
 use crate::log::Line;
+use crate::page::{Page, REPORT, held};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use facts::{Facts, scene_name};
-use page::Page;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 use splats::Rows;
 use std::path::Path;
@@ -52,15 +52,31 @@ pub(crate) fn write(
         std::fs::remove_file(&side).map_err(|e| format!("{e}: {}", side.display()))?;
     }
     let html = Page {
+        kind: &REPORT,
         title: scene_name(config),
-        facts: &serde_json::to_string(&facts)?,
-        gallery: &gallery,
-        splats: &encoded,
+        data: &[
+            ("facts", &serde_json::to_string(&facts)?),
+            ("gallery", &gallery),
+        ],
+        splats: Some(&encoded),
     }
     .html();
     Ok(io::write_atomic(&out.join(FILE), |file| {
         file.write_all(html.as_bytes())
     })?)
+}
+
+/// What the report in a folder was made of: facts and gallery; `None` where there is none that can be read.
+pub(crate) fn read<F: DeserializeOwned, G: DeserializeOwned>(out: &Path) -> Option<(F, G)> {
+    let path = out.join(FILE);
+    // One of ours with every scene inside would be no longer.
+    if path.metadata().ok()?.len() > 2 * MOST_BYTES as u64 {
+        return None;
+    }
+    let html = std::fs::read_to_string(path).ok()?;
+    let facts = serde_json::from_str(held(&html, "facts")?).ok()?;
+    let gallery = serde_json::from_str(held(&html, "gallery")?).ok()?;
+    Some((facts, gallery))
 }
 
 /// The Gaussians and their motion, with the colours that are trained by now.
