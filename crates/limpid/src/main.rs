@@ -30,6 +30,7 @@ mod train;
 mod version;
 mod video;
 mod view;
+mod watch;
 
 use clap::{CommandFactory as _, Parser, Subcommand};
 use failure::with_causes;

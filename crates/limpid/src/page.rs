@@ -27,6 +27,7 @@ pub(crate) const REPORT: Kind = Kind {
         include_str!("../page/blur.js"),
         include_str!("../page/curves.js"),
         include_str!("../page/tables.js"),
+        include_str!("../page/live.js"),
         include_str!("../page/main.js"),
     ],
 };

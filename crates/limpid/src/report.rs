@@ -4,6 +4,7 @@ mod facts;
 mod gallery;
 mod splats;
 
+pub(crate) use facts::Live;
 pub(crate) use gallery::Gallery;
 
 use crate::config::Config;
@@ -51,19 +52,40 @@ pub(crate) fn write(
     } else if side.exists() {
         std::fs::remove_file(&side).map_err(|e| format!("{e}: {}", side.display()))?;
     }
-    let html = Page {
-        kind: &REPORT,
-        title: scene_name(config),
-        data: &[
-            ("facts", &serde_json::to_string(&facts)?),
-            ("gallery", &gallery),
-        ],
-        splats: Some(&encoded),
-    }
-    .html();
+    let html = page(&facts, config, (&gallery, &encoded))?;
     Ok(io::write_atomic(&out.join(FILE), |file| {
         file.write_all(html.as_bytes())
     })?)
+}
+
+/// The report of a run that is still trained: the page, and the splats that it asks its server for as [`SIDE_FILE`].
+pub(crate) fn live(
+    run: &Run,
+    config: &Config,
+    gallery: &Gallery,
+    (curves, live): (&[Line], Live),
+) -> Result<(String, Vec<u8>), Failure> {
+    let mut facts = Facts::new(run, config, &Value::Null, curves);
+    facts.side_file = Some(SIDE_FILE);
+    facts.live = Some(live);
+    let html = page(&facts, config, (&serde_json::to_string(gallery)?, ""))?;
+    Ok((html, scene_bytes(run)))
+}
+
+/// The page; splats in base64, empty where they lie beside it.
+fn page(
+    facts: &Facts<'_>,
+    config: &Config,
+    (gallery, splats): (&str, &str),
+) -> Result<String, Failure> {
+    let facts = serde_json::to_string(facts)?;
+    Ok(Page {
+        kind: &REPORT,
+        title: scene_name(config),
+        data: &[("facts", &facts), ("gallery", gallery)],
+        splats: Some(splats),
+    }
+    .html())
 }
 
 /// What the report in a folder was made of: facts and gallery; `None` where there is none that can be read.

@@ -12,6 +12,7 @@ use crate::progress::{Progress, during};
 use crate::report;
 use crate::say::say;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
+use crate::watch::{Watch, WatchArguments};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -67,6 +68,8 @@ pub(crate) struct TrainArguments {
     /// Set any setting, for example `--set blur.kernel_size=7`.
     #[arg(long = "set", value_name = "key=value")]
     set: Vec<String>,
+    #[command(flatten)]
+    watch: WatchArguments,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -128,7 +131,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     if started.config.run.backend.is_cpu() {
         memory::warn(&started.trainer, started.config.run.factor());
     }
-    let ended = started.train(&save);
+    let ended = started.train(&save, arguments.watch);
     ended.map_err(|error| {
         let error = with_causes(&*error);
         format!("{error}; {}", started.checkpoints.account()).into()
@@ -137,7 +140,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
 
 impl Started {
     /// Trains, and writes what comes of it.
-    fn train(&mut self, save: &SaveRequest) -> Result<ExitCode, Failure> {
+    fn train(&mut self, save: &SaveRequest, watch: WatchArguments) -> Result<ExitCode, Failure> {
         let Self {
             out,
             config,
@@ -147,6 +150,7 @@ impl Started {
         } = self;
         let stop = Stop::listen()?;
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
+        let mut watch = Watch::start(watch, (trainer, config), out)?;
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
         while !trainer.is_done() && !stop.is_asked() {
             let started = Instant::now();
@@ -166,6 +170,9 @@ impl Started {
             };
             progress.show(&report);
             log.add(&report, trainer.run().seconds());
+            if let Some(watch) = &mut watch {
+                watch.look(trainer, config);
+            }
             let asked = save.take();
             if !trainer.is_done() && (asked || checkpoints.is_due(report.iteration)) {
                 checkpoints.save_on_the_way(trainer);
@@ -186,6 +193,9 @@ impl Started {
         let evaluation = during("rendering and scoring", || {
             outputs::write_all(trainer, config, out)
         })?;
+        if let Some(watch) = watch {
+            watch.end();
+        }
         say!("{}", outputs::summary(&evaluation));
         say!(
             "{:.0} s of training; results in {}; {} shows them",

@@ -39,7 +39,7 @@ pub(crate) fn run(arguments: &ViewArguments) -> Result<ExitCode, Failure> {
     if !refresh::is_current(out) {
         refresh::write(out, &config, arguments.scene.as_deref())?;
     }
-    let server = Server::new(out, report::FILE, arguments.port)
+    let server = Server::of_folder(out, report::FILE, arguments.port)
         .map_err(|e| format!("{e}: 127.0.0.1, port {}", arguments.port))?;
     let address = format!("http://{}/", server.address());
     print(&address)?;
