@@ -7,7 +7,7 @@ mod table;
 
 use crate::failure::Failure;
 use crate::page::{COMPARISON, Page, held};
-use crate::say::{print, say};
+use crate::say::{conclude, print, say};
 use likeness::Likeness;
 use pictures::{Pictures, Places};
 use read::{Compared, ReportView};
@@ -118,7 +118,7 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<ExitCode, Failure> {
     }
     .html();
     io::write_atomic(&arguments.out, |file| file.write_all(html.as_bytes()))?;
-    say!("side by side in {}", arguments.out.display());
+    conclude!("side by side in {}", arguments.out.display());
     Ok(ExitCode::SUCCESS)
 }
 

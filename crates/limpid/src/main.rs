@@ -34,7 +34,7 @@ mod watch;
 
 use clap::{CommandFactory as _, Parser, Subcommand};
 use failure::with_causes;
-use say::say;
+use say::conclude;
 use std::process::ExitCode;
 
 /// An iteration frees and takes hundreds of megabytes; the system's allocator would hand them back and fault them in
@@ -49,6 +49,8 @@ struct Arguments {
     /// Work with so many threads [default: as many as the machine runs at once]. Results do not depend on it.
     #[arg(long, value_name = "N", global = true, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
+    #[command(flatten)]
+    voice: say::Voice,
     #[command(subcommand)]
     command: Command,
 }
@@ -81,11 +83,19 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let Arguments { threads, command } = Arguments::parse();
+    let Arguments {
+        threads,
+        voice,
+        command,
+    } = Arguments::parse();
+    if let Err(problem) = voice.set() {
+        conclude!("limpid: {problem}");
+        return ExitCode::FAILURE;
+    }
     if let Some(threads) = threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads));
         if let Err(problem) = pool.build_global() {
-            say!("limpid: --threads {threads}: {problem}");
+            conclude!("limpid: --threads {threads}: {problem}");
             return ExitCode::FAILURE;
         }
     }
@@ -104,7 +114,7 @@ fn main() -> ExitCode {
     match result {
         Ok(code) => code,
         Err(error) => {
-            say!("limpid: {}", with_causes(&*error));
+            conclude!("limpid: {}", with_causes(&*error));
             ExitCode::FAILURE
         }
     }

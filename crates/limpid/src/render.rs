@@ -8,7 +8,7 @@ use crate::moments::within;
 use crate::outputs;
 use crate::refresh;
 use crate::report;
-use crate::say::say;
+use crate::say::conclude;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use trainer::Shot;
@@ -84,6 +84,6 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
             refresh::write_with(&arguments.run, &run, &gallery)?;
         }
     }
-    say!("written to {}", out.display());
+    conclude!("written to {}", out.display());
     Ok(ExitCode::SUCCESS)
 }

@@ -10,7 +10,7 @@ use crate::memory;
 use crate::outputs;
 use crate::progress::{Progress, during};
 use crate::report;
-use crate::say::say;
+use crate::say::{conclude, say};
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
 use crate::watch::{Watch, WatchArguments};
 use std::path::{Path, PathBuf};
@@ -163,7 +163,7 @@ impl Started {
                     // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
                     let is_whole = matches!(error, TrainError::NotFinite { .. });
                     if is_whole && let Err(problem) = checkpoints.save(trainer) {
-                        say!("the checkpoint cannot be saved: {}", with_causes(&*problem));
+                        conclude!("the checkpoint cannot be saved: {}", with_causes(&*problem));
                     }
                     return Err(error.into());
                 }
@@ -182,7 +182,7 @@ impl Started {
         checkpoints.save(trainer)?;
         stop.saved();
         if !trainer.is_done() {
-            say!(
+            conclude!(
                 "stopped after iteration {} of {}; to go on:\n  {}",
                 trainer.iteration(),
                 trainer.settings().iterations,
@@ -196,8 +196,8 @@ impl Started {
         if let Some(watch) = watch {
             watch.end();
         }
-        say!("{}", outputs::summary(&evaluation));
-        say!(
+        conclude!("{}", outputs::summary(&evaluation));
+        conclude!(
             "{:.0} s of training; results in {}; {} shows them",
             trainer.run().seconds(),
             out.display(),

@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::failure::{Failure, with_causes};
 use crate::log;
 use crate::report::{self, Gallery, Live};
-use crate::say::say;
+use crate::say::{conclude, detail, say};
 use crate::serve::{Held, Server};
 use crate::sheet;
 use std::path::{Path, PathBuf};
@@ -75,7 +75,7 @@ impl Watch {
         watch.take(trainer, config)?;
         let server = Server::of_memory(watch.held.clone(), arguments.port)
             .map_err(|e| format!("{e}: 127.0.0.1, port {}", arguments.port))?;
-        say!("watch it at http://{}/", server.address());
+        conclude!("watch it at http://{}/", server.address());
         std::thread::spawn(|| server.run());
         Ok(Some(watch))
     }
@@ -101,7 +101,9 @@ impl Watch {
         let made = gallery(trainer)
             .and_then(|gallery| report::live(trainer.run(), config, &gallery, (&curves, live)));
         self.last = Instant::now();
-        self.pause = self.every.max((self.last - began) * PAUSES);
+        let took = self.last - began;
+        self.pause = self.every.max(took * PAUSES);
+        detail!("snapshot {} in {:.2} s", self.snapshots, took.as_secs_f64());
         let (html, splats) = made?;
         self.held.put(
             self.snapshots,
