@@ -9,18 +9,18 @@ function showBlur(wipe) {
   const show = (view) => {
     kernels.mark?.remove();
     kernels.mark = null;
-    const { camera, kernels: grid } = view.pictures;
+    const { camera, kernels: grid } = view.pictures[0];
     box.replaceChildren();
     box.hidden = !camera && !grid;
     if (camera) box.append(...cameraFigures(view, camera));
-    if (grid) box.append(...kernelFigure(view, grid, kernels));
+    if (grid) box.append(...kernelFigure(wipe.panes[0].box, grid, kernels));
   };
   wipe.shown.push(show);
   wipe.clicked = (x, y) => {
     kernels.at = [x, y];
     show(wipe.views[wipe.index]);
   };
-  if (wipe.views.length) show(wipe.views[wipe.index]);
+  if (wipe.pictured.length) show(wipe.views[wipe.index]);
 }
 
 function cameraFigures(view, { path_px, disc_px, focus, spots }) {
@@ -41,7 +41,7 @@ function cameraFigures(view, { path_px, disc_px, focus, spots }) {
   return [...figures, el("p", {}, text)];
 }
 
-function kernelFigure(view, grid, state) {
+function kernelFigure(pane, grid, state) {
   const [column, row] = [Math.floor(state.at[0] * grid.columns), Math.floor(state.at[1] * grid.rows)]
     .map((v, k) => clamp(v, 0, (k ? grid.rows : grid.columns) - 1));
   const place = row * grid.columns + column;
@@ -55,7 +55,7 @@ function kernelFigure(view, grid, state) {
   state.mark = el("span", { class: "mark" });
   state.mark.style.left = `${100 * (column + 0.5) / grid.columns}%`;
   state.mark.style.top = `${100 * (row + 0.5) / grid.rows}%`;
-  $("wipe").append(state.mark);
+  pane.append(state.mark);
   return [
     el("figure", {}, canvas, el("figcaption", {}, `kernel of ${grid.size} × ${grid.size} px, intensity ${decimals(intensity, 2)}`)),
     el("p", {}, `Click the picture for the kernel there: ${grid.columns} × ${grid.rows} of them are kept of every frame.`),

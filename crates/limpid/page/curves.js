@@ -11,6 +11,7 @@ const CURVE = { width: 480, height: 190, left: 50, right: 8, top: 16, bottom: 22
 function showCurves({ curves, moments }) {
   if (curves.iteration.length < 2) return;
   $("training").hidden = false;
+  $("curves").replaceChildren();
   const last = curves.iteration[curves.iteration.length - 1];
   const marks = [...new Set(moments.filter((moment) => moment.iteration <= last).map((moment) => moment.iteration))];
   const updates = [];
@@ -19,7 +20,7 @@ function showCurves({ curves, moments }) {
     if (points.length < 2) continue;
     $("curves").append(curve(title, points, text, last, marks, updates));
   }
-  $("moments").append(...marks.map((mark) => {
+  $("moments").replaceChildren(...marks.map((mark) => {
     const what = moments.filter((moment) => moment.iteration === mark).map((moment) => moment.what);
     return el("li", {}, `${whole(mark)}: ${what.join(", ")}`);
   }));

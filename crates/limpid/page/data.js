@@ -1,6 +1,6 @@
 // What the page holds: facts and gallery as JSON, splats as base64 or in a file beside the page.
 
-const readJson = (id) => JSON.parse($(id).textContent);
+const readJson = (id, page = document) => JSON.parse(page.getElementById(id).textContent);
 
 /** The bytes of a base64 text. */
 function fromBase64(text) {
@@ -11,9 +11,9 @@ function fromBase64(text) {
 }
 
 /** The bytes of the splats; `sideFile` is where they lie if the page does not hold them. */
-async function splatBytes(sideFile) {
+async function splatBytes(sideFile, page = document) {
   if (!sideFile) {
-    const element = $("splats");
+    const element = page.getElementById("splats");
     const bytes = fromBase64(element.textContent);
     element.remove();
     return bytes;

@@ -2,12 +2,12 @@
 
 const report = { facts: readJson("facts"), gallery: readJson("gallery"), viewer: null, wipe: null, ready: null };
 
-function showHead({ name, metrics, iterations, seconds, gaussians, version }) {
+function showHead({ name, metrics, iterations, seconds, gaussians, version, live }) {
   $("title").textContent = name;
   const parts = [`${whole(gaussians)} Gaussians`, `${whole(iterations)} iterations in ${duration(seconds)}`];
   if (isNumber(metrics?.test?.psnr)) parts.unshift(`test PSNR ${decimals(metrics.test.psnr, 2)} dB`);
   $("summary").textContent = parts.join(" · ");
-  $("footer").textContent = `Made by Limpid ${version}. This page is one file and asks no network.`;
+  $("footer").textContent = `Made by Limpid ${version}. ${live ? "The training process serves this page, to this machine alone." : "This page is one file and asks no network."}`;
 }
 
 async function showScene(facts) {
@@ -32,20 +32,33 @@ function goTo(index) {
   $("scene").scrollIntoView({ behavior: "smooth" });
 }
 
-report.ready = (async () => {
-  const { facts, gallery } = report;
+/** What there is to read, of a run as it is now. */
+function showRest(facts) {
   showHead(facts);
-  // The rest first has its place, then the scene comes: nothing jumps.
-  await showScene(facts);
-  report.wipe = new Wipe(facts, gallery, report.viewer && goTo);
-  showBlur(report.wipe);
   showCurves(facts);
   showScores(facts.metrics, (test, name) => {
     const index = report.wipe.views.findIndex((view) => view.test === test && view.name === name);
-    if (index < 0) return;
+    if (!report.wipe.has(index)) return;
     report.wipe.set(index);
     $("frames").scrollIntoView({ behavior: "smooth" });
   });
   showNotes(facts);
   showRun(facts);
+}
+
+report.ready = (async () => {
+  const { facts, gallery } = report;
+  const runs = (facts, gallery) => [{ name: facts.name, facts, gallery }];
+  showHead(facts);
+  // The rest first has its place, then the scene comes: nothing jumps.
+  await showScene(facts);
+  report.wipe = new Wipe(runs(facts, gallery), report.viewer && goTo);
+  showBlur(report.wipe);
+  showRest(facts);
+  followTraining(facts, (facts, gallery, scene) => {
+    Object.assign(report, { facts, gallery });
+    report.viewer?.load(facts, scene);
+    report.wipe.load(runs(facts, gallery));
+    showRest(facts);
+  });
 })();

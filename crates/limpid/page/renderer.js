@@ -104,15 +104,29 @@ class Renderer {
     this.build();
   }
 
+  /** Takes another scene in the place of this one. */
+  load(scene) {
+    const { gl, made } = this;
+    for (const texture of made.textures) gl.deleteTexture(texture);
+    gl.deleteBuffer(this.order);
+    gl.deleteVertexArray(made.lines);
+    gl.deleteProgram(made.program);
+    this.scene = scene;
+    this.build();
+  }
+
   /** Everything that lives on the GPU; again after a lost context. */
   build() {
     const { gl, scene } = this;
     const program = gl.createProgram();
+    this.made = { program, textures: [], lines: gl.createVertexArray() };
     for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX_SHADER], [gl.FRAGMENT_SHADER, FRAGMENT_SHADER]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
       gl.attachShader(program, shader);
+      // It stays as long as the program.
+      gl.deleteShader(shader);
     }
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
@@ -145,7 +159,7 @@ class Renderer {
 
     this.order = gl.createBuffer();
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.bindVertexArray(gl.createVertexArray());
+    gl.bindVertexArray(this.made.lines);
     gl.enableVertexAttribArray(0);
     gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
     gl.vertexAttribDivisor(0, 1);
@@ -159,7 +173,9 @@ class Renderer {
     const lines = values.length / 4 / across;
     if (lines > this.most) throw new Error("The scene has more Gaussians than this GPU's textures hold.");
     gl.activeTexture(gl.TEXTURE0 + unit);
-    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+    const texture = gl.createTexture();
+    this.made.textures.push(texture);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
     gl.texImage2D(gl.TEXTURE_2D, 0, internal, across, lines, 0, format, type, values);

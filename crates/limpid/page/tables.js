@@ -6,6 +6,7 @@ const FIGURES = [
 
 /** Scores, the worst view first; `go(isTest, name)` shows a view. */
 function showScores(metrics, go) {
+  $("tables").replaceChildren();
   const groups = [["Test views", metrics?.test, true], ["Sharp renders of training views", metrics?.train_sharp, false]];
   for (const [title, scores, test] of groups) {
     if (!scores?.views?.length) continue;
@@ -31,7 +32,7 @@ function showScores(metrics, go) {
 
 function showNotes({ notes }) {
   $("found").hidden = notes.length === 0;
-  $("notes").append(...notes.map((note) => el("li", {}, note)));
+  $("notes").replaceChildren(...notes.map((note) => el("li", {}, note)));
 }
 
 function showRun(facts) {
@@ -44,7 +45,7 @@ function showRun(facts) {
   if (isNumber(metrics?.shutter)) rows.push(["shutter", `${decimals(metrics.shutter, 2)} frames`], ["aperture", `${decimals(metrics.aperture, 4)} scene units`]);
   const pairs = (list) => el("table", { class: "pair" }, el("tbody", {}, ...list.map(([key, value]) => el("tr", {}, el("td", {}, key), el("td", {}, value)))));
   const about = $("about");
-  about.append(pairs(rows), el("h3", {}, "The same run again, from the folder that holds the scene"), el("pre", {}, facts.command));
+  about.replaceChildren(pairs(rows), el("h3", {}, "The same run again, from the folder that holds the scene"), el("pre", {}, facts.command));
   for (const heading of about.querySelectorAll("h3")) heading.style.marginTop = "1.4rem";
   if (facts.others.length) {
     about.append(el("h3", {}, "Settings that are not the default"), pairs(facts.others.map(({ setting, value, default: usual }) => [setting, `${text(value)} (default ${text(usual)})`])));

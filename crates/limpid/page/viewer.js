@@ -12,25 +12,15 @@ const MOST_RATIO = 2;
 
 class Viewer {
   constructor(facts, scene) {
-    this.facts = facts;
-    this.scene = scene;
-    this.motion = new Motion(scene);
-    this.sorter = new Sorter(scene.count);
     this.canvas = $("canvas");
     this.renderer = Renderer.on(this.canvas, scene);
     if (!this.renderer) throw new Error("This browser has no WebGL2, which draws the scene. The rest of the report is below.");
-    this.renderer.place(this.motion, scene.count);
-    const camera = (test) => (view) => ({ ...view, test, lens: view, place: { ...placeOf(view.pose), pose: view.pose } });
-    /** Training views, then test views. */
-    this.cameras = [...facts.train.map(camera(false)), ...facts.test.map(camera(true))];
-    this.stops = facts.train.map((view) => ({ time: view.time, ...placeOf(view.pose) })).sort((a, b) => a.time - b.time);
+    this.take(facts, scene);
     this.first = this.stops[0].time;
     this.last = this.stops[this.stops.length - 1].time;
     const ups = this.stops.map((stop) => axesOf(stop)[1]);
     const up = unit3(ups.reduce((sum, down) => add3(sum, down, -1), [0, 0, 0]));
     this.controls = new Controls(this.canvas, up, facts.scene_size, (place) => this.free(place));
-    this.overlay = new Overlay($("overlay"), this.cameras, 0.05 * facts.scene_size);
-
     this.time = this.first;
     this.forward = true;
     this.playing = false;
@@ -45,6 +35,29 @@ class Viewer {
     this.drawn = 0;
     this.connect();
     this.restore();
+  }
+
+  /** All that depends on which state of the scene is shown. */
+  take(facts, scene) {
+    this.facts = facts;
+    this.scene = scene;
+    this.motion = new Motion(scene);
+    this.sorter = new Sorter(scene.count);
+    this.renderer.place(this.motion, scene.count);
+    const camera = (test) => (view) => ({ ...view, test, lens: view, place: { ...placeOf(view.pose), pose: view.pose } });
+    /** Training views, then test views. */
+    this.cameras = [...facts.train.map(camera(false)), ...facts.test.map(camera(true))];
+    this.stops = facts.train.map((view) => ({ time: view.time, ...placeOf(view.pose) })).sort((a, b) => a.time - b.time);
+    this.overlay = new Overlay($("overlay"), this.cameras, 0.05 * facts.scene_size);
+    for (const option of $("show").options) option.disabled = scene.movers === 0 && option.value !== "both";
+  }
+
+  /** Shows another state of the same scene, from where and when this one is shown. */
+  load(facts, scene) {
+    this.renderer.load(scene);
+    this.take(facts, scene);
+    if (typeof this.camera === "number") this.controls.place = this.cameras[this.camera].place;
+    this.invalidate();
   }
 
   /** Connects the page's controls. */
@@ -64,7 +77,6 @@ class Viewer {
     $("full").hidden = !$("stage").requestFullscreen;
     $("cameras").addEventListener("change", () => this.invalidate());
     $("show").addEventListener("change", () => { this.show = $("show").value; this.invalidate(); });
-    for (const option of $("show").options) option.disabled = this.scene.movers === 0 && option.value !== "both";
 
     const list = $("camera");
     list.append(el("option", { value: "follow" }, "the video's"), el("option", { value: "", disabled: "", hidden: "" }, "free"));

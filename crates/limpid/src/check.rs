@@ -2,7 +2,7 @@
 
 use crate::config::{Config, Distortion, RunOptions};
 use crate::failure::{Failure, with_causes};
-use crate::say::{print, say};
+use crate::say::{conclude, print, say};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -138,7 +138,11 @@ fn line(finding: &Finding) -> String {
 pub(crate) fn before_training(scene: &io::Scene, goes_on: bool) -> Result<(), Failure> {
     let findings = check(scene);
     for finding in &findings {
-        say!("{}", line(finding));
+        if finding.verdict == Verdict::Wrong {
+            conclude!("{}", line(finding));
+        } else {
+            say!("{}", line(finding));
+        }
     }
     let is_wrong = findings.iter().any(|f| f.verdict == Verdict::Wrong);
     if is_wrong && !goes_on {

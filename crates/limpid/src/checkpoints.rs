@@ -2,7 +2,7 @@
 
 use crate::config::Config;
 use crate::failure::{Failure, with_causes};
-use crate::say::say;
+use crate::say::{detail, say};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use trainer::{CHECKPOINT_FILE, PREVIOUS_CHECKPOINT_FILE, Run, Settings, Trainer};
@@ -73,6 +73,11 @@ impl Checkpoints {
         self.tried = Instant::now();
         trainer.save(&self.folder)?;
         self.last = Some(trainer.iteration());
+        detail!(
+            "checkpoint after iteration {} in {:.1} s",
+            trainer.iteration(),
+            self.tried.elapsed().as_secs_f64()
+        );
         Ok(())
     }
 

@@ -5,7 +5,7 @@ use crate::config::{Backend, Config};
 use crate::failure::Failure;
 use crate::moments::{Moments, within};
 use crate::numbered::Numbered;
-use crate::say::say;
+use crate::say::{conclude, say};
 use io::{ExportedView, Gaussians, Glb, GlbPart, RigidMotion, SparsePoint};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -140,7 +140,7 @@ fn written(
 ) -> Result<(), Failure> {
     write(path)?;
     let size = std::fs::metadata(path).map_or(0, |file| file.len());
-    say!("{} ({:.1} MB)", path.display(), size as f64 / 1e6);
+    conclude!("{} ({:.1} MB)", path.display(), size as f64 / 1e6);
     Ok(())
 }
 
@@ -186,7 +186,7 @@ fn sequence(
     for (index, &time) in moments.iter().enumerate() {
         io::write_ply(&names.path(index), &posed(Some(time)))?;
     }
-    say!("{}: {} files", folder.display(), moments.len());
+    conclude!("{}: {} files", folder.display(), moments.len());
     Ok(())
 }
 
@@ -333,7 +333,7 @@ fn transforms(run: &Run, folder: &Path) -> Result<(), Failure> {
     io::write_points_ply(&folder.join("points.ply"), &points(run))?;
     let path = folder.join("transforms.json");
     io::write_transforms(&path, &views, Some("points.ply"))?;
-    say!(
+    conclude!(
         "{}: {} cameras, with sharp renders",
         path.display(),
         views.len()
@@ -345,7 +345,7 @@ fn colmap(run: &Run, folder: &Path) -> Result<(), Failure> {
     let views = pictures(run, &folder.join("images"), "")?;
     let model = folder.join("sparse/0");
     io::write_colmap(&model, &views, &points(run))?;
-    say!(
+    conclude!(
         "{}: {} cameras, with sharp renders",
         model.display(),
         views.len()

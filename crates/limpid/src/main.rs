@@ -4,6 +4,7 @@ mod budget;
 mod check;
 mod checkpoints;
 mod clip;
+mod compare;
 mod config;
 mod devices;
 mod eval;
@@ -16,7 +17,9 @@ mod memory;
 mod moments;
 mod numbered;
 mod outputs;
+mod page;
 mod progress;
+mod refresh;
 mod render;
 mod report;
 mod say;
@@ -28,10 +31,11 @@ mod train;
 mod version;
 mod video;
 mod view;
+mod watch;
 
 use clap::{CommandFactory as _, Parser, Subcommand};
 use failure::with_causes;
-use say::say;
+use say::conclude;
 use std::process::ExitCode;
 
 /// An iteration frees and takes hundreds of megabytes; the system's allocator would hand them back and fault them in
@@ -46,6 +50,8 @@ struct Arguments {
     /// Work with so many threads [default: as many as the machine runs at once]. Results do not depend on it.
     #[arg(long, value_name = "N", global = true, value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
+    #[command(flatten)]
+    voice: say::Voice,
     #[command(subcommand)]
     command: Command,
 }
@@ -60,6 +66,8 @@ enum Command {
     Export(export::ExportArguments),
     /// Score a trained scene on its test views.
     Eval(eval::EvalArguments),
+    /// Hold several runs against each other: a table, and a page with their pictures side by side.
+    Compare(compare::CompareArguments),
     /// Look whether a scene's files fit each other: exit code 0, 1 (doubtful) or 2 (wrong).
     Check(check::CheckArguments),
     /// Show a run's report in the browser, served on the loopback address.
@@ -76,11 +84,19 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let Arguments { threads, command } = Arguments::parse();
+    let Arguments {
+        threads,
+        voice,
+        command,
+    } = Arguments::parse();
+    if let Err(problem) = voice.set() {
+        conclude!("limpid: {problem}");
+        return ExitCode::FAILURE;
+    }
     if let Some(threads) = threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads));
         if let Err(problem) = pool.build_global() {
-            say!("limpid: --threads {threads}: {problem}");
+            conclude!("limpid: --threads {threads}: {problem}");
             return ExitCode::FAILURE;
         }
     }
@@ -89,6 +105,7 @@ fn main() -> ExitCode {
         Command::Render(arguments) => render::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
         Command::View(arguments) => view::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
@@ -98,7 +115,7 @@ fn main() -> ExitCode {
     match result {
         Ok(code) => code,
         Err(error) => {
-            say!("limpid: {}", with_causes(&*error));
+            conclude!("limpid: {}", with_causes(&*error));
             ExitCode::FAILURE
         }
     }

@@ -1,35 +1,50 @@
-//! How far a run is: a bar on a terminal, a line now and then elsewhere.
+//! How far a run is: a bar on a terminal, a line now and then elsewhere and in the log.
 
-use crate::say::say;
+use crate::say::{Weight, detail, line, say, set_bar, shows_bars};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::IsTerminal as _;
 use std::time::{Duration, Instant};
 use trainer::StepReport;
 
 /// Lines of a run whose output is no terminal.
 const LINES: usize = 20;
+/// Length of the bar, characters.
+const BAR: usize = 12;
 /// The pace is that of the last part of a run that took so long: an iteration costs more once blur is modelled.
 const LOOKED_BACK: Duration = Duration::from_secs(20);
 
 /// Names what is done before and after training, where it takes seconds; on a terminal until it is over.
 pub(crate) fn during<T>(what: &'static str, work: impl FnOnce() -> T) -> T {
-    if !std::io::stderr().is_terminal() {
-        say!("{what} …");
-        return work();
-    }
-    let spinner = ProgressBar::with_draw_target(None, target());
-    spinner.set_style(style("{spinner} {msg} … {elapsed}"));
-    spinner.set_message(what);
-    spinner.enable_steady_tick(Duration::from_millis(200));
+    let began = Instant::now();
+    let spinner = shows_bars().then(|| {
+        let spinner = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+        spinner.set_style(style("{spinner} {msg} … {elapsed}"));
+        spinner.set_message(what);
+        spinner.enable_steady_tick(Duration::from_millis(200));
+        spinner
+    });
+    set_bar(spinner.as_ref());
+    line(beside_a_bar(), format_args!("{what} …"));
     let done = work();
-    spinner.finish_and_clear();
+    set_bar(None);
+    if let Some(spinner) = spinner {
+        spinner.finish_and_clear();
+    }
+    detail!("{what}: {:.1} s", began.elapsed().as_secs_f64());
     done
+}
+
+/// How much a line matters that says what a bar shows, where there is one.
+fn beside_a_bar() -> Weight {
+    if shows_bars() {
+        Weight::Detail
+    } else {
+        Weight::Usual
+    }
 }
 
 /// The iterations of a run.
 pub(crate) struct Progress {
     bar: ProgressBar,
-    plain: bool,
     iterations: usize,
     pace: Pace,
     psnr: f64,
@@ -38,12 +53,17 @@ pub(crate) struct Progress {
 impl Progress {
     /// Of a run that has done `from` of its iterations.
     pub(crate) fn new(from: usize, iterations: usize) -> Self {
-        let bar = ProgressBar::with_draw_target(Some(iterations as u64), target());
-        bar.set_style(style("{bar:16} {pos}/{len} {msg}"));
+        let target = if shows_bars() {
+            ProgressDrawTarget::stderr()
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let bar = ProgressBar::with_draw_target(Some(iterations as u64), target);
+        bar.set_style(style(&format!("{{bar:{BAR}}} {{pos}}/{{len}} {{msg}}")));
         bar.set_position(from as u64);
+        set_bar(Some(&bar));
         Self {
             bar,
-            plain: !std::io::stderr().is_terminal(),
             iterations,
             pace: Pace::new(from, Instant::now()),
             psnr: f64::NAN,
@@ -53,7 +73,7 @@ impl Progress {
     /// After an iteration.
     pub(crate) fn show(&mut self, report: &StepReport) {
         if let Some(decided) = &report.decided {
-            self.bar.suspend(|| say!("{decided}"));
+            say!("{decided}");
         }
         let StepReport {
             iteration,
@@ -70,17 +90,23 @@ impl Progress {
         self.pace.went_to(*iteration, Instant::now());
         let left = self.pace.seconds(self.iterations - iteration);
         self.bar.set_position(*iteration as u64);
-        self.bar.set_message(format!(
-            "PSNR {:.1} dB · {gaussians} Gaussians · {left:.0} s left",
-            self.psnr
-        ));
+        self.bar.set_message(message(self.psnr, *gaussians, left));
         let every = (self.iterations / LINES).max(1);
-        if self.plain && (iteration.is_multiple_of(every) || *iteration == self.iterations) {
-            say!(
-                "{iteration}/{} loss {loss:.4} · PSNR {psnr:.1} dB · {gaussians} Gaussians · mean PSNR {:.1} dB · {left:.0} s left",
-                self.iterations,
-                self.psnr
+        if iteration.is_multiple_of(every) || *iteration == self.iterations {
+            line(
+                beside_a_bar(),
+                format_args!(
+                    "{iteration}/{} loss {loss:.4} · PSNR {psnr:.1} dB · {gaussians} Gaussians · mean PSNR {:.1} dB · {} left",
+                    self.iterations,
+                    self.psnr,
+                    duration(left)
+                ),
             );
+            let terms = report.terms.iter();
+            let terms: Vec<String> = terms
+                .map(|(name, value)| format!("{name} {value:.4}"))
+                .collect();
+            detail!("  of view {}: {}", report.view, terms.join(", "));
         }
     }
 
@@ -91,15 +117,27 @@ impl Progress {
 
     /// Takes the bar away.
     pub(crate) fn finish(&self) {
+        set_bar(None);
         self.bar.finish_and_clear();
     }
 }
 
-fn target() -> ProgressDrawTarget {
-    if std::io::stderr().is_terminal() {
-        ProgressDrawTarget::stderr()
+/// What stands beside the bar.
+fn message(psnr: f64, gaussians: usize, left: f64) -> String {
+    format!(
+        "PSNR {psnr:.1} dB · {gaussians} Gaussians · {} left",
+        duration(left)
+    )
+}
+
+/// Seconds as people say them.
+fn duration(seconds: f64) -> String {
+    if seconds < 120.0 {
+        format!("{seconds:.0} s")
+    } else if seconds < 7200.0 {
+        format!("{:.0} min", seconds / 60.0)
     } else {
-        ProgressDrawTarget::hidden()
+        format!("{:.1} h", seconds / 3600.0)
     }
 }
 
@@ -144,6 +182,22 @@ impl Pace {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_bar_fits_a_terminal() {
+        for (psnr, gaussians, left) in [
+            (-10.5, 12_345_678, 359_999.0),
+            (f64::NAN, 99_999, 7199.0),
+            (123.4, 9_999_999, 119.9),
+        ] {
+            let counts = " 1000000/1000000 ".len();
+            let length = BAR + counts + message(psnr, gaussians, left).chars().count();
+            assert!(length <= 80, "{length}");
+        }
+        assert_eq!(duration(119.4), "119 s");
+        assert_eq!(duration(3600.0), "60 min");
+        assert_eq!(duration(9000.0), "2.5 h");
+    }
 
     #[test]
     fn what_is_left_is_told_by_the_last_part() {

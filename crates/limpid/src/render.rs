@@ -6,7 +6,9 @@ use crate::config::{Backend, Config};
 use crate::failure::Failure;
 use crate::moments::within;
 use crate::outputs;
-use crate::say::say;
+use crate::refresh;
+use crate::report;
+use crate::say::conclude;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use trainer::Shot;
@@ -75,8 +77,13 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
         clip::render(&run, path, &arguments.clip, &out)?;
     } else if arguments.at.is_empty() {
         let scene = outputs::frames(&run, &config, arguments.scene.as_deref())?;
-        outputs::write_renders(&run, scene.as_ref(), &out)?;
+        let gallery = outputs::write_renders(&run, scene.as_ref(), &out)?;
+        // Pictures for another folder are not the run's own, and a report keeps the blurry frames that it has.
+        let has_report = arguments.run.join(report::FILE).exists();
+        if arguments.out.is_none() && (scene.is_some() || !has_report) {
+            refresh::write_with(&arguments.run, &run, &gallery)?;
+        }
     }
-    say!("written to {}", out.display());
+    conclude!("written to {}", out.display());
     Ok(ExitCode::SUCCESS)
 }

@@ -11,8 +11,9 @@ use crate::memory;
 use crate::outputs;
 use crate::progress::{Progress, during};
 use crate::report;
-use crate::say::say;
+use crate::say::{conclude, say};
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
+use crate::watch::{Watch, WatchArguments};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -74,6 +75,8 @@ pub(crate) struct TrainArguments {
     /// Set any setting, for example `--set blur.kernel_size=7`.
     #[arg(long = "set", value_name = "key=value")]
     set: Vec<String>,
+    #[command(flatten)]
+    watch: WatchArguments,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -135,7 +138,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     if started.config.run.backend.is_cpu() {
         memory::warn(&started.trainer, started.config.run.factor());
     }
-    let ended = started.train(&save);
+    let ended = started.train(&save, arguments.watch);
     ended.map_err(|error| {
         let error = with_causes(&*error);
         format!("{error}; {}", started.checkpoints.account()).into()
@@ -144,7 +147,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
 
 impl Started {
     /// Trains, and writes what comes of it.
-    fn train(&mut self, save: &SaveRequest) -> Result<ExitCode, Failure> {
+    fn train(&mut self, save: &SaveRequest, watch: WatchArguments) -> Result<ExitCode, Failure> {
         let Self {
             out,
             config,
@@ -154,6 +157,7 @@ impl Started {
         } = self;
         let stop = Stop::listen()?;
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
+        let mut watch = Watch::start(watch, (trainer, config), out)?;
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
         let mut forecast = Forecast::new(trainer, memory::expected(trainer, config));
         while !trainer.is_done() && !stop.is_asked() {
@@ -167,7 +171,7 @@ impl Started {
                     // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
                     let is_whole = matches!(error, TrainError::NotFinite { .. });
                     if is_whole && let Err(problem) = checkpoints.save(trainer) {
-                        say!("the checkpoint cannot be saved: {}", with_causes(&*problem));
+                        conclude!("the checkpoint cannot be saved: {}", with_causes(&*problem));
                     }
                     return Err(error.into());
                 }
@@ -177,6 +181,9 @@ impl Started {
                 progress.say(&line);
             }
             log.add(&report, trainer.run().seconds());
+            if let Some(watch) = &mut watch {
+                watch.look(trainer, config);
+            }
             let asked = save.take();
             if !trainer.is_done() && (asked || checkpoints.is_due(report.iteration)) {
                 checkpoints.save_on_the_way(trainer);
@@ -186,7 +193,7 @@ impl Started {
         checkpoints.save(trainer)?;
         stop.saved();
         if !trainer.is_done() {
-            say!(
+            conclude!(
                 "stopped after iteration {} of {}; to go on:\n  {}",
                 trainer.iteration(),
                 trainer.settings().iterations,
@@ -197,8 +204,11 @@ impl Started {
         let evaluation = during("rendering and scoring", || {
             outputs::write_all(trainer, config, out)
         })?;
-        say!("{}", outputs::summary(&evaluation));
-        say!(
+        if let Some(watch) = watch {
+            watch.end();
+        }
+        conclude!("{}", outputs::summary(&evaluation));
+        conclude!(
             "{:.0} s of training; results in {}; {} shows them",
             trainer.run().seconds(),
             out.display(),

@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use crate::numbered::Numbered;
-use crate::say::say;
+use crate::say::conclude;
 use std::io::ErrorKind;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -55,7 +55,7 @@ pub(crate) fn write(
     let problem = match run {
         Ok(run) if run.status.success() => {
             std::fs::rename(&unfinished, video).map_err(|e| format!("{e}: {}", video.display()))?;
-            say!("{}", video.display());
+            conclude!("{}", video.display());
             return Ok(());
         }
         Ok(run) => {
@@ -70,7 +70,7 @@ pub(crate) fn write(
         .iter()
         .map(|argument| quoted(argument))
         .collect();
-    say!(
+    conclude!(
         "no video: {problem}; the pictures are there, and this makes it:\n  ffmpeg {}",
         line.join(" ")
     );

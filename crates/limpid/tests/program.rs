@@ -153,6 +153,36 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
             assert!(said.contains(flag) && said.contains("from 0 to"), "{said}");
         }
     }
+
+    // The report is written again with the pictures, but for where it would lose its blurry frames or they go elsewhere.
+    let report = out.join("report.html");
+    let whole = fs::read_to_string(&report)?;
+    let pictures = |html: &str| html.matches("/9j/").count();
+    assert!(pictures(&whole) > 16, "JPEGs");
+    let elsewhere = folder.path().join("pictures");
+    for (args, is_written) in [
+        (
+            &["render", path(&out), "--out", path(&elsewhere)][..],
+            false,
+        ),
+        (&["render", path(&out)], true),
+    ] {
+        fs::write(&report, "old")?;
+        let rendered = output(args)?;
+        assert!(rendered.status.success(), "{}", text(&rendered.stderr));
+        assert_eq!(
+            fs::read_to_string(&report)? != "old",
+            is_written,
+            "{args:?}"
+        );
+    }
+    assert_eq!(pictures(&fs::read_to_string(&report)?), pictures(&whole));
+    let mut edited: serde_json::Value = serde_json::from_str(&config)?;
+    edited["run"]["scene"] = "/nowhere".into();
+    fs::write(out.join("config.json"), edited.to_string())?;
+    let rendered = output(&["render", path(&out)])?;
+    assert!(rendered.status.success(), "{}", text(&rendered.stderr));
+    assert_eq!(pictures(&fs::read_to_string(&report)?), pictures(&whole));
     Ok(())
 }
 

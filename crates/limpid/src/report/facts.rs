@@ -25,6 +25,9 @@ pub(crate) struct Facts<'a> {
     /// Name of the file beside the page that holds the splats, where the page does not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) side_file: Option<&'static str>,
+    /// Only while the run is trained.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) live: Option<Live>,
     train: Vec<Place>,
     test: Vec<Place>,
     curves: Curves,
@@ -37,6 +40,15 @@ pub(crate) struct Facts<'a> {
     others: Vec<Other>,
     settings: &'a Settings,
     command: String,
+}
+
+/// A run that goes on.
+#[derive(Debug, Serialize)]
+pub(crate) struct Live {
+    /// Number of the snapshot.
+    pub(crate) snapshot: usize,
+    /// Where the run ends.
+    pub(crate) iterations: usize,
 }
 
 /// From where and when a view was taken.
@@ -119,6 +131,7 @@ impl<'a> Facts<'a> {
             gaussians: run.model().num_gaussians(),
             movers: run.model().num_dynamic(),
             side_file: None,
+            live: None,
             train: train
                 .enumerate()
                 .map(|(frame, view)| Place::of(view, &run.training_pose(frame)))

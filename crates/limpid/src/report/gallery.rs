@@ -135,6 +135,11 @@ impl Gallery {
         self.views.push(added);
     }
 
+    /// Adds a view without pictures.
+    pub(crate) fn leave_out(&mut self) {
+        self.views.push(GalleryView::default());
+    }
+
     fn jpeg(&self, image: &Image) -> Option<String> {
         let small = match self.factor {
             1 => encode_jpeg(image, QUALITY),

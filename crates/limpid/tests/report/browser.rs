@@ -36,7 +36,7 @@ pub(crate) struct Browser {
 }
 
 impl Browser {
-    /// Opens an address in a window of this size, and waits until the report is whole.
+    /// Opens an address in a window of this size, and waits until the page is whole.
     pub(crate) fn open(program: &Path, address: &str, size: [usize; 2]) -> Outcome<Self> {
         let profile = tempfile::tempdir()?;
         // The pipe is file 3 and 4 of the browser: a shell puts them there.
@@ -92,8 +92,9 @@ impl Browser {
             json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
         self.send("Emulation.setDeviceMetricsOverride", size)?;
         self.send("Page.navigate", json!({ "url": address }))?;
-        self.wait_for("typeof report === 'object' && report.ready !== null")?;
-        self.evaluate("report.ready.then(() => true)")?;
+        // The scripts have run by then; a report goes on from there.
+        self.wait_for("location.href !== 'about:blank' && document.readyState === 'complete'")?;
+        self.evaluate("typeof report === 'object' ? report.ready.then(() => true) : true")?;
         Ok(())
     }
 

@@ -11,7 +11,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use browser::{Browser, Outcome, chromium};
 use std::fs;
-use std::io::{BufRead as _, BufReader, Write as _};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -31,7 +31,7 @@ fn browser_or_word(test: &str) -> Outcome<Option<std::path::PathBuf>> {
     Ok(found)
 }
 
-fn limpid(args: &[&str]) -> Outcome {
+fn limpid(args: &[&str]) -> Outcome<String> {
     let ran = Command::new(env!("CARGO_BIN_EXE_limpid"))
         .args(args)
         .output()?;
@@ -40,7 +40,7 @@ fn limpid(args: &[&str]) -> Outcome {
         "{args:?}: {}",
         String::from_utf8_lossy(&ran.stderr)
     );
-    Ok(())
+    Ok(String::from_utf8(ran.stdout)? + &String::from_utf8(ran.stderr)?)
 }
 
 /// A copy of a folder.
@@ -60,19 +60,25 @@ fn copy(from: &Path, to: &Path) -> Outcome {
 
 /// The shortest run on the demo at half its size, moved into a scene with a hostile name.
 fn train(folder: &Path) -> Outcome<std::path::PathBuf> {
+    train_as(folder, "run", &["--downscale", "2", "--blur", "camera"])
+}
+
+/// The same with other words and in a folder of this name.
+fn train_as(folder: &Path, name: &str, words: &[&str]) -> Outcome<std::path::PathBuf> {
     let scene = folder.join("<script>alert(1)<");
     copy(Path::new(DEMO), &scene)?;
-    let out = folder.join("run");
-    let words = [
-        "--downscale",
-        "2",
+    let out = folder.join(name);
+    let [scene, to] = [&scene, &out].map(|path| path.to_str().expect("UTF-8"));
+    let short = [
+        "train",
+        "--scene",
+        scene,
+        "--out",
+        to,
         "--iterations",
         "200",
-        "--blur",
-        "camera",
     ];
-    let [scene, to] = [&scene, &out].map(|path| path.to_str().expect("UTF-8"));
-    limpid(&[&["train", "--scene", scene, "--out", to][..], &words].concat())?;
+    limpid(&[&short[..], words].concat())?;
     Ok(out)
 }
 
@@ -110,6 +116,14 @@ fn centroid(rgb: &[u8], width: usize) -> [f64; 2] {
     }
     assert!(sums[0] > 0.0, "there is something to see");
     [sums[1] / sums[0], sums[2] / sums[0]]
+}
+
+/// A picture of the window for people to look at, where `LIMPID_SCREENSHOTS` names a folder.
+fn keep_screenshot(browser: &mut Browser, name: &str) -> Outcome {
+    if let Some(folder) = std::env::var_os("LIMPID_SCREENSHOTS") {
+        fs::write(Path::new(&folder).join(name), browser.screenshot()?)?;
+    }
+    Ok(())
 }
 
 #[test]
@@ -178,7 +192,7 @@ fn a_report_shows_what_the_renderer_renders_and_asks_no_network() -> Outcome {
         "document.querySelectorAll('#curves svg').length === 4",
         "document.querySelectorAll('#tables tr.link').length === 32",
         "document.querySelectorAll('#notes li').length > 2",
-        "document.getElementById('over').naturalWidth === 80",
+        "document.querySelector('.wipe .over').naturalWidth === 80",
         "document.querySelectorAll('#blur svg circle').length > 10",
         "document.getElementById('title').textContent === '<script>alert(1)<'",
         // No element of the name's: facts, gallery, and the page's own; the splats' is gone once they are read.
@@ -186,10 +200,7 @@ fn a_report_shows_what_the_renderer_renders_and_asks_no_network() -> Outcome {
     ] {
         browser.wait_for(holds)?;
     }
-    if let Some(folder) = std::env::var_os("LIMPID_SCREENSHOTS") {
-        let shot = browser.screenshot()?;
-        fs::write(Path::new(&folder).join("report.png"), shot)?;
-    }
+    keep_screenshot(&mut browser, "report.png")?;
     assert!(browser.problems().is_empty(), "{:?}", browser.problems());
     let requests = browser.requests();
     assert!(
@@ -284,5 +295,241 @@ fn limpid_view_shows_a_run_without_a_report_and_splats_beside_the_page() -> Outc
         "{message}"
     );
     assert!(browser.problems().is_empty(), "{:?}", browser.problems());
+    Ok(())
+}
+
+#[test]
+fn runs_are_compared_at_the_same_view_and_edge() -> Outcome {
+    let Some(program) = browser_or_word("limpid compare in a browser")? else {
+        return Ok(());
+    };
+    let folder = tempfile::tempdir()?;
+    let hostile = "<img src=x onerror=alert(2)>";
+    let half = ["--downscale", "2"];
+    let camera = train(folder.path())?;
+    let off = train_as(
+        folder.path(),
+        hostile,
+        &[&half[..], &["--blur", "off"]].concat(),
+    )?;
+    let small = train_as(
+        folder.path(),
+        "small",
+        &["--downscale", "5", "--blur", "off"],
+    )?;
+    let page = folder.path().join("compare.html");
+    let [camera, off, small, to] =
+        [&camera, &off, &small, &page].map(|path| path.to_str().expect("UTF-8"));
+    // A score that is no number.
+    let report = Path::new(off).join("report.html");
+    let html = fs::read_to_string(&report)?;
+    let score = r#""views":[{"name":"00000","psnr":"#;
+    let (before, after) = html.split_once(score).ok_or("a score")?;
+    let (_, after) = after.split_once(',').ok_or("another")?;
+    fs::write(&report, format!("{before}{score}null,{after}"))?;
+
+    let told = limpid(&["compare", camera, off, "--out", to])?;
+    for part in [
+        "test PSNR, dB",
+        "seconds of training",
+        "blur.model",
+        "camera",
+        hostile,
+    ] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    assert!(!told.contains("warning"), "{told}");
+    let mut browser = Browser::open(
+        &program,
+        &format!("file://{}", page.display()),
+        [1100, 1000],
+    )?;
+    for holds in [
+        "document.querySelectorAll('.pane').length === 2",
+        "[...document.querySelectorAll('.wipe img')].every((image) => image.naturalWidth === 80)",
+        "document.querySelectorAll('#tables tr.link').length === 32",
+        "document.getElementById('tables').textContent.includes('–')",
+        "document.querySelectorAll('#figures .best').length > 0",
+        "[...document.querySelectorAll('#others td')].some((cell) => cell.textContent === 'blur.model')",
+        "document.querySelectorAll('#figures th')[2].textContent === '<img src=x onerror=alert(2)>'",
+        // The data and the page's own.
+        "document.scripts.length === 2",
+    ] {
+        browser.wait_for(holds)?;
+    }
+    // All panes show the same frame, with one input and a sharp render each, and have their edge at one place.
+    let pictures = "[...document.querySelectorAll('.wipe img')].map((image) => image.src)";
+    browser.evaluate("comparison.wipe.set(3)")?;
+    let at_three = browser.evaluate(pictures)?;
+    assert!(at_three[1] == at_three[3], "the same blurry frame");
+    assert!(at_three[0] != at_three[2], "a sharp render each");
+    browser.evaluate(
+        "(() => { const [, input] = document.querySelectorAll('.wipe input'); input.value = 20; input.dispatchEvent(new Event('input')); })()",
+    )?;
+    let edges = "[...document.querySelectorAll('.wipe')].map((pane) => pane.style.getPropertyValue('--edge')).join()";
+    assert_eq!(browser.evaluate(edges)?, "20%,20%");
+    // A line of the scores leads to its view.
+    browser.evaluate("document.querySelector('#tables tr.link').click()")?;
+    browser.wait_for("comparison.wipe.views[comparison.wipe.index].test")?;
+    browser.evaluate("comparison.wipe.set(3); scrollTo(0, 0)")?;
+    keep_screenshot(&mut browser, "compare.png")?;
+    assert!(browser.problems().is_empty(), "{:?}", browser.problems());
+    let requests = browser.requests();
+    assert!(
+        matches!(requests[..], [page] if page.starts_with("file://")),
+        "the page itself: {requests:?}"
+    );
+
+    // Other sizes are told, and no score is the best.
+    let told = limpid(&["compare", camera, small, "--out", to])?;
+    assert!(
+        told.contains("warning: small has pictures of 32 × 18"),
+        "{told}"
+    );
+    assert!(!told.contains('*'), "{told}");
+    let mut browser = Browser::open(&program, &format!("file://{}", page.display()), [700, 700])?;
+    browser.wait_for("document.querySelectorAll('#warnings li').length === 1")?;
+    browser.wait_for("document.querySelectorAll('.best').length === 0")?;
+    assert!(browser.problems().is_empty(), "{:?}", browser.problems());
+    Ok(())
+}
+
+/// A run that trains and is watched, and its address.
+fn watched(folder: &Path, name: &str, words: &[&str]) -> Outcome<(Shown, String)> {
+    let out = folder.join(name);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_limpid"))
+        .args(["train", "--scene", DEMO, "--out"])
+        .arg(&out)
+        .args(words)
+        .stderr(Stdio::piped())
+        .spawn()?;
+    let lines = BufReader::new(child.stderr.take().ok_or("piped")?).lines();
+    let shown = Shown(child);
+    for line in lines {
+        if let Some((_, address)) = line?.split_once("watch it at ") {
+            // Nobody reads the rest.
+            return Ok((shown, address.to_owned()));
+        }
+    }
+    Err("no address".into())
+}
+
+/// What a server answers.
+fn asked(address: &str, method: &str) -> Outcome<String> {
+    let host = address.trim_start_matches("http://").trim_end_matches('/');
+    let mut stream = std::net::TcpStream::connect(host)?;
+    write!(stream, "{method} / HTTP/1.1\r\nHost: {host}\r\n\r\n")?;
+    let mut reply = String::new();
+    stream.read_to_string(&mut reply)?;
+    Ok(reply)
+}
+
+#[test]
+fn a_run_that_is_watched_comes_out_the_same_and_ends_with_its_report() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let words = [
+        "--downscale",
+        "5",
+        "--blur",
+        "camera",
+        "--iterations",
+        "200",
+    ];
+    let alone = folder.path().join("alone");
+    let to = alone.to_str().ok_or("UTF-8")?;
+    limpid(&[&["train", "--scene", DEMO, "--out", to][..], &words].concat())?;
+    let (mut run, address) = watched(
+        folder.path(),
+        "watched",
+        &[&words[..], &["--watch=0"]].concat(),
+    )?;
+    assert!(address.starts_with("http://127.0.0.1:"), "{address}");
+    let mut tags = Vec::new();
+    let last = loop {
+        let head = asked(&address, "HEAD")?;
+        let tag = head.lines().find(|line| line.starts_with("ETag: "));
+        let tag = tag.ok_or("a tag")?.to_owned();
+        if !tags.contains(&tag) {
+            tags.push(tag);
+            let page = asked(&address, "GET")?;
+            assert!(page.contains("id=\"facts\""), "a report");
+            if !page.contains("\"live\":{") {
+                break page;
+            }
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    };
+    assert!(tags.len() > 1, "{tags:?}");
+    assert!(last.contains("\"metrics\":{"), "with scores");
+    assert!(run.0.wait()?.success());
+    let out = folder.path().join("watched");
+    for file in [
+        "scene.ply",
+        "renders/test/00003.png",
+        "renders/blurred/00007.png",
+    ] {
+        assert!(
+            fs::read(alone.join(file))? == fs::read(out.join(file))?,
+            "{file}"
+        );
+    }
+    Ok(())
+}
+
+#[test]
+fn a_page_follows_a_run_and_keeps_its_time_and_view() -> Outcome {
+    let Some(program) = browser_or_word("limpid train --watch in a browser")? else {
+        return Ok(());
+    };
+    let folder = tempfile::tempdir()?;
+    let words = [
+        "--downscale",
+        "5",
+        "--blur",
+        "camera",
+        "--iterations",
+        "6000",
+        "--watch=1",
+    ];
+    let (mut run, address) = watched(folder.path(), "run", &words)?;
+    let mut browser = Browser::open(&program, &format!("{address}#t=0"), [1000, 900])?;
+    browser.evaluate(
+        "report.viewer.jump(3); report.viewer.controls.orbit(40, 10); report.viewer.setTime(5.25); report.wipe.edge(30)",
+    )?;
+    let place = browser.evaluate("report.viewer.controls.place.center")?;
+    let before = browser.evaluate("report.facts.live.snapshot")?;
+    browser.wait_for(&format!("report.facts.live.snapshot > {before}"))?;
+    browser.wait_for(
+        "report.facts.iterations > 10 && report.viewer.scene.count === report.facts.gaussians",
+    )?;
+    assert_eq!(browser.evaluate("report.viewer.time")?, 5.25);
+    assert_eq!(
+        browser.evaluate("report.viewer.controls.place.center")?,
+        place
+    );
+    for holds in [
+        "document.querySelector('.wipe').style.getPropertyValue('--edge') === '30%'",
+        "document.querySelectorAll('#view option').length === 5",
+        "document.querySelectorAll('#curves svg').length === 4",
+        "document.querySelectorAll('#about .pair').length > 0 && document.querySelectorAll('#about details').length === 1",
+        "document.getElementById('live').textContent.startsWith('being trained: iteration ')",
+    ] {
+        browser.wait_for(holds)?;
+    }
+    // What it shows is a scene.
+    let shown = picture(&mut browser, 3, 3.0, "both")?;
+    assert!(shown.iter().any(|v| *v > 50), "light");
+    keep_screenshot(&mut browser, "watch.png")?;
+    assert!(browser.problems().is_empty(), "{:?}", browser.problems());
+    let own = browser
+        .requests()
+        .into_iter()
+        .all(|url| url.starts_with(&address));
+    assert!(own, "{:?}", browser.requests());
+
+    // It says so when there is nothing to follow any more.
+    run.0.kill()?;
+    run.0.wait()?;
+    browser.wait_for("document.getElementById('live').textContent.includes('does not answer')")?;
     Ok(())
 }
