@@ -103,6 +103,8 @@ fn a_backend_that_is_not_there_is_an_error_that_says_what_to_do() -> Result<(), 
         }
         assert!(!out.exists(), "{backend}: nothing was begun");
     }
+    Ok(())
+}
 
 /// Whether a line begins with a time as `2026-01-31T12:00:00Z `.
 fn has_time(line: &str) -> bool {
