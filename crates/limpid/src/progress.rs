@@ -110,11 +110,6 @@ impl Progress {
         }
     }
 
-    /// Says a line without disturbing the bar.
-    pub(crate) fn say(&self, line: &str) {
-        self.bar.suspend(|| say!("{line}"));
-    }
-
     /// Takes the bar away.
     pub(crate) fn finish(&self) {
         set_bar(None);

@@ -178,7 +178,7 @@ impl Started {
             };
             progress.show(&report);
             if let Some(line) = forecast.after(report.iteration, Instant::now()) {
-                progress.say(&line);
+                say!("{line}");
             }
             log.add(&report, trainer.run().seconds());
             if let Some(watch) = &mut watch {
