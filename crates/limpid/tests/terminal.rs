@@ -83,7 +83,7 @@ fn a_backend_that_is_not_there_is_an_error_that_says_what_to_do() -> Result<(), 
     for (backend, is_built) in backends {
         // Vulkan finds drivers by files that these variables name; other systems' adapters cannot be hidden.
         if is_built && !(backend == "wgpu" && cfg!(target_os = "linux")) {
-            println!("skipped: {backend} is in this build, and its adapter cannot be hidden");
+            eprintln!("skipped: {backend} is in this build, and its adapter cannot be hidden");
             continue;
         }
         let out = folder.path().join(backend);
