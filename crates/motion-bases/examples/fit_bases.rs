@@ -16,18 +16,11 @@ fn main() -> Result<(), motion_bases::MotionError> {
         confidence: vec![1.0; entries],
         colors: vec![[0.5; 3]; entries / num_frames],
     };
-    let init = motion_bases::initialize(
-        &tracks,
-        &InitOptions {
-            num_bases,
-            fewest: false,
-            seed,
-        },
-    )?;
-    let device = Device::flex().autodiff();
-    let (cam_from_world, [fx, fy, cx, cy]) = (DAffine3::IDENTITY, [50.0, 50.0, 32.0, 24.0]);
     #[rustfmt::skip]
-    let cameras = vec![FitCamera { cam_from_world, fx, fy, cx, cy }; num_frames];
+    let init = motion_bases::initialize(&tracks, &InitOptions { num_bases, fewest: false, seed })?;
+    let device = Device::flex().autodiff();
+    #[rustfmt::skip]
+    let cameras = vec![FitCamera { cam_from_world: DAffine3::IDENTITY, fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 }; num_frames];
     let data = FitData::new(&init, &cameras, &device, DType::F32)?;
     let mut bases = MotionBases::from_init(&init, &device, DType::F32);
     let means = &Tensor::<1>::from_data(&*init.canonical_means(), &device).reshape([-1, 3]);
