@@ -73,7 +73,7 @@ fn threads_are_one_or_more() -> Result<(), Box<dyn Error>> {
 }
 
 #[test]
-fn a_backend_that_is_not_there_is_an_error_that_says_what_to_do() -> Result<(), Box<dyn Error>> {
+fn a_backend_that_is_not_built_in_is_an_error_that_says_what_to_do() -> Result<(), Box<dyn Error>> {
     let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
     let folder = tempfile::tempdir()?;
     let backends = [
@@ -82,12 +82,9 @@ fn a_backend_that_is_not_there_is_an_error_that_says_what_to_do() -> Result<(), 
         ("cuda", cfg!(feature = "cuda")),
     ];
     for (backend, is_built) in backends {
-        // Vulkan finds drivers by files that these variables name; other systems' adapters cannot be hidden.
-        if is_built && !(backend == "wgpu" && cfg!(target_os = "linux")) {
+        if is_built {
             // Not through `eprintln!`, which the test harness catches.
-            let line = format!(
-                "skipped: a build without {backend}: it is in this one, and cannot be hidden\n"
-            );
+            let line = format!("skipped: a build without {backend}: this one has it\n");
             std::io::stderr().write_all(line.as_bytes())?;
             continue;
         }
@@ -95,17 +92,11 @@ fn a_backend_that_is_not_there_is_an_error_that_says_what_to_do() -> Result<(), 
         let tried = Command::new(env!("CARGO_BIN_EXE_limpid"))
             .args(["train", "--scene", demo, "--backend", backend, "--out"])
             .arg(&out)
-            .envs([("VK_DRIVER_FILES", "/none"), ("VK_ICD_FILENAMES", "/none")])
             .output()?;
         let said = String::from_utf8_lossy(&tried.stderr);
         assert_eq!(tried.status.code(), Some(1), "{said}");
         assert!(!said.contains("panicked"), "{said}");
-        if is_built {
-            let advises = said.contains("--backend flex") && said.contains("limpid devices");
-            assert!(said.contains("no adapter") && advises, "{said}");
-        } else {
-            assert!(said.contains(&format!("--features {backend}")), "{said}");
-        }
+        assert!(said.contains(&format!("--features {backend}")), "{said}");
         assert!(!out.exists(), "{backend}: nothing was begun");
     }
     Ok(())
