@@ -183,6 +183,8 @@ impl Trainer {
         let decision = if worth.needs_both() {
             add_kernels(run)?;
             "from half of the run on kernels explain what the camera leaves (`--blur camera` does without)"
+        } else if worth.leaves_nothing() {
+            "neither pays, and no blur is modelled from here on (a longer run may find it; `--blur kernels` keeps a model)"
         } else {
             "the camera explains blur by itself (`--blur both` has kernels on top)"
         };

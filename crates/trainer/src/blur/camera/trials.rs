@@ -36,6 +36,11 @@ impl Worth {
     pub(crate) fn needs_both(&self) -> bool {
         self.lens > BOTH_ARE_THERE.lens && self.paths > BOTH_ARE_THERE.paths
     }
+
+    /// Whether the trial left out both, so that nothing explains blur any more.
+    pub(crate) fn leaves_nothing(&self) -> bool {
+        self.lens <= PART_PAYS && self.paths <= PART_PAYS
+    }
 }
 
 impl fmt::Display for Worth {
@@ -305,6 +310,12 @@ mod tests {
         ] {
             let worth = Worth { lens, paths };
             assert_eq!(worth.needs_both(), needs_both, "{worth}");
+            assert!(!(worth.needs_both() && worth.leaves_nothing()), "{worth}");
         }
+        let little = Worth {
+            lens: 0.034,
+            paths: 0.038,
+        };
+        assert!(little.leaves_nothing() && !little.needs_both(), "{little}");
     }
 }
