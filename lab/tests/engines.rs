@@ -154,6 +154,12 @@ fn with_a_kill(mut engine: Command, victim: &Path) -> Result<Output, Box<dyn Err
     Ok(engine.wait_with_output()?)
 }
 
+/// An engine ends with the number of runs that failed.
+fn assert_one_failed(output: &Output) {
+    let code = output.status.code();
+    assert_eq!(code, Some(1), "one failed: {}", said(output));
+}
+
 /// What stands after a study of which a run was killed: the others are finished, and it is named.
 fn check_report(bench: &Bench, engine: &str) -> Outcome {
     let (report, table) = bench.report()?;
@@ -322,12 +328,7 @@ fn gnu_parallel_works_through_a_study() -> Outcome {
     let mut engine = Command::new("sh");
     engine.arg(bench.script("parallel.sh"));
     let output = with_a_kill(engine, &bench.run(&plan, "camera", 1))?;
-    assert_eq!(
-        output.status.code(),
-        Some(1),
-        "one failed: {}",
-        said(&output)
-    );
+    assert_one_failed(&output);
     check_report(&bench, "parallel")
 }
 
@@ -398,12 +399,7 @@ fn hyperqueue_works_through_a_study() -> Outcome {
         .args(["-c", LOCAL_CLUSTER])
         .arg(bench.script("runs.json"));
     let output = with_a_kill(engine, &bench.run(&plan, "camera", 1))?;
-    assert_eq!(
-        output.status.code(),
-        Some(1),
-        "one failed: {}",
-        said(&output)
-    );
+    assert_one_failed(&output);
     check_report(&bench, "HyperQueue")
 }
 

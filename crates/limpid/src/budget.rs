@@ -2,6 +2,7 @@
 //! very run: no machine's speed is known beforehand.
 
 use crate::failure::Failure;
+use crate::progress::duration;
 use std::time::Instant;
 use trainer::{BlurModel, Course, Trainer};
 
@@ -66,14 +67,14 @@ pub(crate) fn fit(
         },
         tried.sharp,
         rayon::current_num_threads(),
-        told(needed),
-        told(up),
-        told(spent - up),
+        duration(needed),
+        duration(up),
+        duration(spent - up),
     )];
     if spent + needed > total {
         lines.push(format!(
             "warning: that is more than {}, but no run is shorter than {least} iterations; a larger --downscale makes each faster",
-            told(total)
+            duration(total)
         ));
     }
     if chosen < most {
@@ -241,7 +242,7 @@ impl Forecast {
         }
         self.parts.pop();
         let pace = (now - self.warm?).as_secs_f64() / TIMED as f64;
-        let left = told(pace * self.iterations.saturating_sub(iteration) as f64);
+        let left = duration(pace * self.iterations.saturating_sub(iteration) as f64);
         let threads = rayon::current_num_threads();
         let memory = std::mem::take(&mut self.memory);
         Some(match self.parts.last() {
@@ -253,15 +254,6 @@ impl Forecast {
                 "expects about {left} more on {threads} threads, at {pace:.3} s an iteration{memory}; --minutes M makes a run of M minutes"
             ),
         })
-    }
-}
-
-/// A time, for people.
-fn told(seconds: f64) -> String {
-    match seconds {
-        s if s < 100.0 => format!("{s:.0} s"),
-        s if s < 6000.0 => format!("{:.0} min", s / 60.0),
-        s => format!("{:.1} h", s / 3600.0),
     }
 }
 

@@ -26,6 +26,7 @@ mod say;
 mod serve;
 mod settings;
 mod sheet;
+mod shell;
 mod stop;
 mod train;
 mod version;

@@ -12,6 +12,7 @@ use crate::outputs;
 use crate::progress::{Progress, during};
 use crate::report;
 use crate::say::{conclude, say};
+use crate::shell::quoted;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
 use crate::watch::{Watch, WatchArguments};
 use std::path::{Path, PathBuf};
@@ -408,15 +409,7 @@ fn consequence(change: &Change, scheduled: usize) -> String {
 fn to_go_on(out: &Path) -> String {
     let program = std::env::args_os().next();
     let program = program.map_or("limpid".into(), PathBuf::from);
-    let word = |path: &Path| {
-        let text = path.display().to_string();
-        let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@".contains(c);
-        if text.chars().all(plain) {
-            text
-        } else {
-            format!("'{}'", text.replace('\'', "'\\''"))
-        }
-    };
+    let word = |path: &Path| quoted(&path.display().to_string());
     format!("{} train --resume --out {}", word(&program), word(out))
 }
 

@@ -3,6 +3,7 @@
 use crate::failure::Failure;
 use crate::numbered::Numbered;
 use crate::say::conclude;
+use crate::shell::quoted;
 use std::io::ErrorKind;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -75,26 +76,4 @@ pub(crate) fn write(
         line.join(" ")
     );
     Ok(())
-}
-
-/// As a shell takes it.
-fn quoted(argument: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=+%,".contains(c);
-    if !argument.is_empty() && argument.chars().all(plain) {
-        return argument.to_owned();
-    }
-    format!("'{}'", argument.replace('\'', r"'\''"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_line_to_copy_survives_the_shell() {
-        assert_eq!(quoted("out/color/%05d.png"), "out/color/%05d.png");
-        assert_eq!(quoted("my run's"), r"'my run'\''s'");
-        assert_eq!(quoted("pad=ceil(iw/2)*2"), "'pad=ceil(iw/2)*2'");
-        assert_eq!(quoted(""), "''");
-    }
 }

@@ -2,6 +2,7 @@
 
 use crate::config::Config;
 use crate::log::Line;
+use crate::shell::quoted;
 use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
@@ -265,28 +266,10 @@ fn command(config: &Config, others: &[trainer::Difference]) -> String {
     words.join(" ")
 }
 
-/// A word as a POSIX shell takes it.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "._-/=+,:@%".contains(c);
-    if !word.is_empty() && !word.starts_with('-') && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use trainer::schedule::Modelled;
-
-    #[test]
-    fn words_of_a_shell_keep_their_meaning() {
-        assert_eq!(quoted("blur.kernel_size=7"), "blur.kernel_size=7");
-        assert_eq!(quoted("a b"), "'a b'");
-        assert_eq!(quoted("it's; rm -rf $HOME"), r"'it'\''s; rm -rf $HOME'");
-        assert_eq!(quoted(""), "''");
-    }
 
     #[test]
     fn the_command_names_what_is_not_the_default() {

@@ -18,6 +18,11 @@ const PATH_PAYS: f64 = 0.01;
 /// Gaussians have sharpened under what they were trained with, so that leaving it out costs something even where it was not
 /// there: RESULTS.md, "Kernels on top of the camera", has what was seen.
 const PART_PAYS: f64 = 0.05;
+/// Whether a part stays that is worth so much.
+fn pays(worth: f64) -> bool {
+    worth > PART_PAYS
+}
+
 /// Where frames have both, lens and paths are worth more than this at the first trial. (Measured: the same section.)
 const BOTH_ARE_THERE: Worth = Worth {
     lens: 0.03,
@@ -39,7 +44,7 @@ impl Worth {
 
     /// Whether the trial left out both, so that nothing explains blur any more.
     pub(crate) fn leaves_nothing(&self) -> bool {
-        self.lens <= PART_PAYS && self.paths <= PART_PAYS
+        !pays(self.lens) && !pays(self.paths)
     }
 }
 
@@ -194,7 +199,7 @@ impl CameraBlur {
             *part(&mut self.capture) = own.zeros_like();
             let without = self.errors(world, looks)?;
             *worth = total(&without) / total(&now) - 1.0;
-            if *worth > PART_PAYS {
+            if pays(*worth) {
                 *part(&mut self.capture) = own;
             } else {
                 now = without;
