@@ -126,12 +126,26 @@ pub fn execute(
         .truncate(false)
         .write(true)
         .open(&path);
-    let mut lock = lock.map_err(LabError::file(&path))?;
+    let lock = lock.map_err(LabError::file(&path))?;
     match lock.try_lock() {
         // Some file systems have no locks; the program has one of its own in its folder.
         Ok(()) | Err(TryLockError::Error(_)) => {}
         Err(TryLockError::WouldBlock) => return Ok(Outcome::Elsewhere),
     }
+    let outcome = train(run, program, children, &lock);
+    // Closing it is not enough: a process that another thread is just starting holds a copy of it for a moment.
+    lock.unlock().ok();
+    outcome
+}
+
+/// See [`execute`]; `lock` is held on the run.
+fn train(
+    run: &PlannedRun,
+    program: &Program,
+    children: &Children,
+    mut lock: &File,
+) -> Result<Outcome, LabError> {
+    let folder = &run.folder;
     if is_finished(folder) {
         return Ok(Outcome::WasThere);
     }
@@ -150,7 +164,7 @@ pub fn execute(
     let said = said.map_err(LabError::file(&log))?;
     let from = said.metadata().map_err(LabError::file(&log))?.len();
     // The lock stays as long as the process lives, even where this one does not.
-    command.stdin(lock.try_clone().map_err(LabError::file(&path))?);
+    command.stdin(lock.try_clone().map_err(LabError::file(folder))?);
     command.stdout(said.try_clone().map_err(LabError::file(&log))?);
     command.stderr(said);
     // Runs go side by side, and a thread each is the most that all of them together can use.
