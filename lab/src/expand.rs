@@ -1,10 +1,10 @@
 //! A study as runs: what each is told, and its name.
 
 use crate::error::LabError;
+use crate::hash::{hashed, hex};
+use crate::perturb::Perturb;
 use crate::study::{BASELINE, Knob, Study, Truth};
-use sha2::{Digest as _, Sha256};
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::Path;
 use toml::{Table, Value};
 
@@ -22,11 +22,12 @@ pub struct Arm {
     pub knob: Option<String>,
     settings: Settings,
     truth: Vec<Truth>,
+    perturb: Perturb,
     except: Vec<String>,
 }
 
 /// A run that a study asks for.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Run {
     /// Its name: a hash of all that its result depends on.
     pub id: String,
@@ -34,6 +35,8 @@ pub struct Run {
     pub scene: String,
     /// Parts of the scene that are replaced by their truth.
     pub replaced: Vec<Truth>,
+    /// Parts that are worse than in the scene.
+    pub perturb: Perturb,
     /// Seed of every random choice.
     pub seed: u64,
     /// Its length.
@@ -43,7 +46,7 @@ pub struct Run {
 }
 
 /// A cell of a study: an arm on a scene with a seed, and the run that fills it. Two arms that say the same share a run.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Case {
     /// The scene's name.
     pub scene: String,
@@ -70,6 +73,7 @@ pub fn arms(study: &Study, path: &Path) -> Result<Vec<Arm>, LabError> {
             knob: None,
             settings: common.clone(),
             truth: Vec::new(),
+            perturb: Perturb::default(),
             except: Vec::new(),
         });
     }
@@ -83,6 +87,7 @@ pub fn arms(study: &Study, path: &Path) -> Result<Vec<Arm>, LabError> {
             knob: None,
             settings,
             truth: variant.truth.clone(),
+            perturb: variant.perturb,
             except: variant.except.clone(),
         });
     }
@@ -116,16 +121,15 @@ fn turned(study: &Study, arms: &[Arm]) -> Vec<Arm> {
         let on = named(arms, knob.on.as_deref().unwrap_or(study.baseline()));
         let except: Vec<String> = on.except.iter().chain(&knob.except).cloned().collect();
         let points = knob.values.iter().map(move |value| {
-            let mut settings = on.settings.clone();
-            insert(&knob.key, value, &mut settings);
-            Arm {
-                name: format!("{} = {}", knob.name, text(value)),
+            let mut point = Arm {
+                name: String::new(),
                 against: Some(on.name.clone()),
                 knob: Some(knob.name.clone()),
-                settings,
-                truth: on.truth.clone(),
                 except: except.clone(),
-            }
+                ..on.clone()
+            };
+            point.turn(knob, value);
+            point
         });
         points.collect::<Vec<_>>()
     };
@@ -135,32 +139,26 @@ fn turned(study: &Study, arms: &[Arm]) -> Vec<Arm> {
 /// Every value of each knob with every value of the others.
 fn crossed(study: &Study, arms: &[Arm]) -> Vec<Arm> {
     let on = named(arms, study.baseline());
-    let mut points = vec![(Vec::new(), on.settings.clone())];
+    let mut points = vec![Arm {
+        name: String::new(),
+        against: Some(on.name.clone()),
+        knob: None,
+        ..on.clone()
+    }];
     for knob in &study.knobs {
         points = points
             .iter()
-            .flat_map(|(names, settings)| {
+            .flat_map(|point| {
                 knob.values.iter().map(move |value| {
-                    let (mut names, mut settings) = (names.clone(), settings.clone());
-                    names.push(format!("{} = {}", knob.name, text(value)));
-                    insert(&knob.key, value, &mut settings);
-                    (names, settings)
+                    let mut point = point.clone();
+                    point.turn(knob, value);
+                    point
                 })
             })
             .collect();
     }
+    points.retain(|point| !point.name.is_empty());
     points
-        .into_iter()
-        .filter(|(names, _)| !names.is_empty())
-        .map(|(names, settings)| Arm {
-            name: names.join(", "),
-            against: Some(on.name.clone()),
-            knob: None,
-            settings,
-            truth: on.truth.clone(),
-            except: on.except.clone(),
-        })
-        .collect()
 }
 
 /// Every cell of a study; with seeds outermost, so that a study half-way has every arm with some of them.
@@ -198,6 +196,27 @@ impl Arm {
         !self.truth.is_empty()
     }
 
+    /// Whether it is given less than there is.
+    #[must_use]
+    pub fn is_perturbed(&self) -> bool {
+        self.perturb.is_any()
+    }
+
+    /// Turns a knob to a value, which its name then says.
+    fn turn(&mut self, knob: &Knob, value: &Value) {
+        match knob.perturbs() {
+            Some(part) => {
+                let turned = self.perturb.with(part, value);
+                self.perturb = turned.expect("a study's values were checked");
+            }
+            None => insert(&knob.key, value, &mut self.settings),
+        }
+        if !self.name.is_empty() {
+            self.name.push_str(", ");
+        }
+        self.name += &format!("{} = {}", knob.name, text(value));
+    }
+
     fn run(&self, scene: &str, seed: u64, program: &str) -> Result<Run, String> {
         let mut settings = self.settings.clone();
         for (key, instead) in [("seed", "seeds"), ("scene", "scenes")] {
@@ -226,9 +245,10 @@ impl Arm {
         replaced.sort_unstable();
         replaced.dedup();
         Ok(Run {
-            id: id(program, scene, &replaced, &arguments),
+            id: id(program, scene, (&replaced, &self.perturb), &arguments),
             scene: scene.to_owned(),
             replaced,
+            perturb: self.perturb,
             seed,
             iterations,
             arguments,
@@ -237,24 +257,17 @@ impl Arm {
 }
 
 /// 16 hexadecimal digits that stand for all that a run's result depends on.
-fn id(program: &str, scene: &str, replaced: &[Truth], arguments: &[String]) -> String {
-    let mut hash = Sha256::new();
+fn id(
+    program: &str,
+    scene: &str,
+    (replaced, perturb): (&[Truth], &Perturb),
+    arguments: &[String],
+) -> String {
     let replaced = format!("{replaced:?}");
+    let perturbed = perturb.names();
     let parts = ["limpid-lab 1", program, scene, &replaced].into_iter();
-    for part in parts.chain(arguments.iter().map(String::as_str)) {
-        // With their lengths, so that no two lists of parts run into the same bytes.
-        hash.update((part.len() as u64).to_le_bytes());
-        hash.update(part);
-    }
-    hex(&hash.finalize()[..8])
-}
-
-/// Bytes as hexadecimal digits.
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        write!(text, "{byte:02x}").expect("a string takes text");
-        text
-    })
+    let more = perturbed.iter().chain(arguments).map(String::as_str);
+    hex(&hashed(parts.chain(more))[..8])
 }
 
 /// Adds a table's settings by their dotted names; those that are there already take the new value.
@@ -426,6 +439,31 @@ on = "kernels"
         let cases = all(&study(depth));
         assert_eq!(cases[0].run.arguments, cases[1].run.arguments);
         assert_ne!(cases[0].run.id, cases[1].run.id, "another scene");
+    }
+
+    #[test]
+    fn what_is_perturbed_is_in_a_runs_name_and_in_no_argument() {
+        let study = study(
+            "scenes = [\"a\"]\nseeds = [1]\nset = { iterations = 200 }\n\
+             variants = [{ name = \"v\", perturb = { depth = 0.1, poses_px = 2 } }]\n\
+             knobs = [{ name = \"d\", key = \"perturb.depth\", values = [0, 0.1, 0.2], on = \"v\" },\
+                      { name = \"m\", key = \"perturb.mask_squares\", values = [0, 2] }]\n",
+        );
+        let cases = all(&study);
+        let ids: Vec<_> = cases.iter().map(|case| case.run.id.as_str()).collect();
+        for (a, b) in [(1, 3), (0, 5)] {
+            assert_eq!(ids[a], ids[b], "the same inputs");
+        }
+        let others = [0, 1, 2, 4, 6].map(|i| ids[i]);
+        let others = std::collections::BTreeSet::from(others);
+        assert_eq!(others.len(), 5, "{ids:?}");
+        let same = |case: &Case| case.run.arguments == cases[0].run.arguments;
+        assert!(cases.iter().all(same), "limpid is told nothing of it");
+        let turned = cases[4].run.perturb;
+        assert_eq!((turned.depth, turned.poses_px), (0.2, 2.0), "on `v`");
+        let arms = arms(&study, Path::new("s.toml")).expect("arms");
+        let perturbed: Vec<_> = arms.iter().map(Arm::is_perturbed).collect();
+        assert_eq!(perturbed, [false, true, true, true, true, false, true]);
     }
 
     #[test]

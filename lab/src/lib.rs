@@ -6,15 +6,21 @@
 //!
 //! It knows no Burn and nothing of training: the program `limpid` is started, and its `metrics.json` read.
 
+mod arrays;
 mod children;
+mod colmap;
+mod copies;
 mod engines;
 mod error;
 mod execute;
 mod expand;
+mod hash;
 mod local;
 mod machine;
+mod perturb;
 mod plan;
 mod plot;
+mod poses;
 mod report;
 mod scenes;
 mod score;
@@ -29,6 +35,7 @@ pub use execute::{Failed, Outcome, execute};
 pub use expand::{Arm, Case, Run, arms, cases};
 pub use local::{Tally, failure, run_all};
 pub use machine::Machine;
+pub use perturb::Perturb;
 pub use plan::{Places, Plan, PlannedRun, Program};
 pub use plot::draw;
 pub use report::{Cell, FailedRun, Report, Row, SceneTable, gather};

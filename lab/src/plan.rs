@@ -1,12 +1,12 @@
 //! `runs.json`: all runs of a study, for any scheduler: one command a run, in any order.
 
 use crate::error::LabError;
-use crate::expand::{Run, cases, hex};
+use crate::expand::{Run, cases};
+use crate::hash::hex;
 use crate::scenes::Scenes;
 use crate::study::Study;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -82,7 +82,7 @@ impl Places {
         self.out.join("programs")
     }
 
-    /// Scenes in which something is as in truth.
+    /// Scenes in which something is as in truth, or perturbed.
     #[must_use]
     pub fn links(&self) -> PathBuf {
         self.out.join("scenes")
@@ -183,7 +183,6 @@ impl Plan {
         let absolute = |path: PathBuf| std::path::absolute(&path).map_err(LabError::file(&path));
         let plan = absolute(places.plan(name))?;
         let runs = absolute(places.runs())?;
-        let mut folders = BTreeMap::new();
         let mut planned: Vec<PlannedRun> = Vec::new();
         for case in cases(study, path, &program.fingerprint)? {
             if let Some(there) = planned.iter_mut().find(|run| run.id == case.run.id) {
@@ -194,19 +193,12 @@ impl Plan {
                 id,
                 scene,
                 replaced,
+                perturb,
                 seed,
                 iterations,
                 arguments,
             } = case.run;
-            let key = (scene.clone(), replaced.clone());
-            let folder = match folders.get(&key) {
-                Some(folder) => PathBuf::clone(folder),
-                None => {
-                    let folder = scenes.find(&scene, &replaced)?;
-                    folders.insert(key, folder.clone());
-                    folder
-                }
-            };
+            let folder = scenes.find(&scene, seed, &replaced, &perturb)?;
             scenes.check_truth(&folder, &arguments)?;
             let out = runs.join(&id);
             let words = |path: &Path| path.to_string_lossy().into_owned();

@@ -173,8 +173,9 @@ fn curves(
             .light_line_style(WHITE)
             .draw()?;
         if front {
-            // What is given the truth is no choice.
-            let choices = points.iter().filter(|(row, ..)| !row.is_given_truth);
+            // Inputs are not chosen: neither the truth nor worse ones.
+            let is_choice = |row: &Row| !row.is_given_truth && !row.is_perturbed;
+            let choices = points.iter().filter(|(row, ..)| is_choice(row));
             let all: Vec<(f64, f64)> = choices.map(|(_, c, s)| (*c, s.mean)).collect();
             let best = pareto_front(&all).into_iter().map(|i| all[i]);
             let grey = BLACK.mix(0.25).stroke_width(4);
@@ -257,6 +258,7 @@ mod tests {
             against: (arm != "base").then(|| "base".to_owned()),
             knob: knob.map(str::to_owned),
             is_given_truth: arm == "bound",
+            is_perturbed: arm == "perturbed",
             scenes: 1,
             runs: 2,
             cells: vec![cell(cost), cell(quality)],
@@ -267,6 +269,7 @@ mod tests {
         let rows = vec![
             row("base", None, 10.0, 30.0),
             row("bound", None, 9.0, 35.0),
+            row("perturbed", None, 9.5, 32.0),
             row("K = 3", Some("K"), 5.0, 28.0),
             row("K < 9", Some("K"), 20.0, 31.0),
         ];
@@ -321,6 +324,26 @@ mod tests {
                 assert!(text.contains(name), "{name}");
             }
         }
+    }
+
+    #[test]
+    fn a_front_is_of_what_can_be_chosen() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("p.svg");
+        let score = |name: &str| Score::from(name.to_owned());
+        let plot = Plot {
+            x: Some(score("cpu")),
+            y: score("all"),
+            front: true,
+        };
+        draw(&report(1), &plot, &path).expect("drawn");
+        let text = std::fs::read_to_string(&path).expect("a picture");
+        let wide = text
+            .split("<polyline")
+            .find(|l| l.contains("stroke-width=\"4\""));
+        let points = wide.and_then(|line| line.split("points=\"").nth(1)?.split('"').next());
+        let points = points.expect("a front").split_whitespace().count();
+        assert_eq!(points, 3, "K = 3, base and K < 9: {text}");
     }
 
     #[test]

@@ -89,6 +89,8 @@ pub struct Row {
     pub knob: Option<String>,
     /// Whether it is given something of the truth.
     pub is_given_truth: bool,
+    /// Whether its inputs were perturbed.
+    pub is_perturbed: bool,
     /// How many scenes it is a mean of.
     pub scenes: usize,
     /// How many of its runs are finished.
@@ -237,6 +239,7 @@ fn row(arm: &Arm, scenes: usize, runs: usize, cells: Vec<Cell>) -> Row {
         against: arm.against.clone(),
         knob: arm.knob.clone(),
         is_given_truth: arm.is_given_truth(),
+        is_perturbed: arm.is_perturbed(),
         scenes,
         runs,
         cells,

@@ -1,9 +1,12 @@
-//! Where scenes are, and copies of them in which something is as in truth: folders of links.
+//! Where scenes are, and copies of them in which something is as in truth, or worse than it is.
 
+use crate::arrays::Array;
+use crate::colmap::images_file;
+use crate::copies::{entries, make, rewrite};
 use crate::error::LabError;
+use crate::perturb::{Draw, Perturb, depth, masks, tracks};
+use crate::poses::poses;
 use crate::study::Truth;
-use half::f16;
-use npyz::{NpyFile, WriterBuilder as _};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -24,12 +27,24 @@ const DEPTH: &str = "flow3d_preprocessed/aligned_depth_anything_colmap";
 /// Its truth, as z-depth.
 const TRUE_DEPTH: &str = "truth/depth";
 
+/// Its tracks, and where they are when there is no such folder of arrays.
+const TRACKS: [&str; 2] = [
+    "flow3d_preprocessed/2d_tracks",
+    "flow3d_preprocessed/2d_tracks.npz",
+];
+
 impl Scenes {
-    /// The folder of a scene, with the given parts as in truth.
+    /// The folder of a scene, with the given parts as in truth and others perturbed, by what the run's seed draws.
     ///
     /// # Errors
-    /// There is no such scene, it has not such a truth, or links cannot be made.
-    pub fn find(&self, name: &str, replaced: &[Truth]) -> Result<PathBuf, LabError> {
+    /// There is no such scene, it has not such a part, or a copy cannot be made.
+    pub fn find(
+        &self,
+        name: &str,
+        seed: u64,
+        replaced: &[Truth],
+        perturb: &Perturb,
+    ) -> Result<PathBuf, LabError> {
         let folder = if name == "demo" {
             self.demo.clone()
         } else {
@@ -39,13 +54,53 @@ impl Scenes {
             })?;
             all.join(name)
         };
-        let folder = fs::canonicalize(&folder).map_err(LabError::file(&folder))?;
-        replaced
-            .iter()
-            .try_fold(folder, |folder, truth| match truth {
-                Truth::Images => Ok(folder),
-                Truth::Depth => self.with_true_depth(name, &folder),
-            })
+        let scene = fs::canonicalize(&folder).map_err(LabError::file(&folder))?;
+        let links = std::path::absolute(&self.links).map_err(LabError::file(&self.links))?;
+        let mut copy = Changed {
+            links,
+            name: name.to_owned(),
+            folder: scene.clone(),
+        };
+        let draw = Draw { scene: name, seed };
+        if perturb.poses_px > 0.0 {
+            let file = images_file(&scene);
+            let file = file.unwrap_or_else(|| "flow3d_preprocessed/colmap/sparse".into());
+            let px = perturb.poses_px;
+            let beside = (scene.join(DEPTH), scene.join("images"));
+            copy.perturb("poses_px", px, seed, &file, |from, to| {
+                poses(from, to, (&beside.0, &beside.1), px, draw)
+            })?;
+        }
+        if replaced.contains(&Truth::Depth) {
+            let truth = scene.join(TRUE_DEPTH);
+            if !has_some(&truth) {
+                return Err(missing(&truth));
+            }
+            let name = format!("{}+depth", copy.name);
+            copy.change(name, Path::new(DEPTH), |_, to| true_depth(&truth, to))?;
+        }
+        if perturb.depth > 0.0 {
+            let by = perturb.depth;
+            copy.perturb("depth", by, seed, Path::new(DEPTH), |from, to| {
+                depth(from, to, by, draw)
+            })?;
+        }
+        if perturb.tracks_px > 0.0 {
+            let px = perturb.tracks_px;
+            let is_there = |part: &&&str| has_some(&scene.join(part));
+            let part = Path::new(TRACKS.iter().find(is_there).unwrap_or(&TRACKS[0]));
+            copy.perturb("tracks_px", px, seed, part, |from, to| {
+                tracks(from, to, px, draw)
+            })?;
+        }
+        if perturb.mask_squares > 0 {
+            let squares = perturb.mask_squares;
+            let part = Path::new("masks");
+            copy.perturb("mask_squares", squares.into(), seed, part, |from, to| {
+                masks(from, to, squares, draw)
+            })?;
+        }
+        Ok(copy.folder)
     }
 
     /// An error where a scene lacks what a run is to be given from the truth.
@@ -55,110 +110,83 @@ impl Scenes {
     pub fn check_truth(&self, scene: &Path, arguments: &[String]) -> Result<(), LabError> {
         let given = arguments.iter().find_map(|a| a.strip_prefix("images="));
         match given.map(|images| scene.join(images)) {
-            Some(images) if !images.is_dir() => Err(LabError::content(
-                &images,
-                "there is no such folder: leave the scene out of the variant with `except`",
-            )),
+            Some(images) if !images.is_dir() => Err(missing(&images)),
             _ => Ok(()),
         }
     }
+}
 
-    /// A copy of a scene, all links but for the depth, which is that of the truth.
-    fn with_true_depth(&self, name: &str, scene: &Path) -> Result<PathBuf, LabError> {
-        let links = std::path::absolute(&self.links).map_err(LabError::file(&self.links))?;
-        let copy = links.join(format!("{name}+depth"));
-        let whole = copy.join(".whole");
-        if whole.exists() {
-            return Ok(copy);
+/// A scene, or a copy of one with one thing after the other changed.
+struct Changed {
+    /// Where copies go.
+    links: PathBuf,
+    /// Its name there.
+    name: String,
+    /// Where it is.
+    folder: PathBuf,
+}
+
+impl Changed {
+    /// With another `part`, a path below it, which `write` makes of the one that there is.
+    fn change(
+        &mut self,
+        name: String,
+        part: &Path,
+        write: impl FnOnce(&Path, &Path) -> Result<(), LabError>,
+    ) -> Result<(), LabError> {
+        let there = self.folder.join(part);
+        if !has_some(&there) {
+            return Err(missing(&there));
         }
-        let truth = scene.join(TRUE_DEPTH);
-        let arrays = entries(&truth)?;
-        if copy.exists() {
-            fs::remove_dir_all(&copy).map_err(LabError::file(&copy))?;
-        }
-        link_all_but(scene, &copy, Path::new(DEPTH))?;
-        let depth = copy.join(DEPTH);
-        fs::create_dir_all(&depth).map_err(LabError::file(&depth))?;
-        for file in arrays {
-            let target = depth.join(file.file_name().unwrap_or_default());
-            write_disparity(&file, &target)?;
-        }
-        fs::write(&whole, "").map_err(LabError::file(&whole))?;
-        Ok(copy)
+        let copy = self.links.join(&name);
+        make(&copy, &self.folder, part, write)?;
+        self.folder = copy;
+        self.name = name;
+        Ok(())
+    }
+
+    /// See [`Changed::change`]; the name says what was perturbed, how much, and by which draw.
+    fn perturb(
+        &mut self,
+        what: &str,
+        much: f64,
+        seed: u64,
+        part: &Path,
+        write: impl FnOnce(&Path, &Path) -> Result<(), LabError>,
+    ) -> Result<(), LabError> {
+        let name = format!("{}+{what}-{much}-seed-{seed}", self.name);
+        self.change(name, part, write)
     }
 }
 
-fn entries(folder: &Path) -> Result<Vec<PathBuf>, LabError> {
-    let read = fs::read_dir(folder).map_err(LabError::file(folder))?;
-    let paths = read.map(|entry| entry.map(|entry| entry.path()));
-    let mut paths: Vec<PathBuf> = paths
-        .collect::<Result<_, _>>()
-        .map_err(LabError::file(folder))?;
-    paths.sort();
-    Ok(paths)
+/// Whether there is such a file, or a folder with something in it.
+fn has_some(path: &Path) -> bool {
+    path.is_file() || entries(path).is_ok_and(|entries| !entries.is_empty())
 }
 
-/// Makes `to` a folder of links to everything in `from` but `but`, a path below it.
-fn link_all_but(from: &Path, to: &Path, but: &Path) -> Result<(), LabError> {
-    fs::create_dir_all(to).map_err(LabError::file(to))?;
-    let mut parts = but.components();
-    let Some(first) = parts.next() else {
-        return Ok(());
-    };
-    for entry in entries(from)? {
-        let name = entry.file_name().unwrap_or_default();
-        let target = to.join(name);
-        if name == first.as_os_str() {
-            if !parts.as_path().as_os_str().is_empty() {
-                link_all_but(&entry, &target, parts.as_path())?;
-            }
-        } else {
-            link(&entry, &target).map_err(LabError::file(&target))?;
+fn missing(part: &Path) -> LabError {
+    LabError::content(
+        part,
+        "the scene has no such file or folder: leave it out of the variant or knob with `except`",
+    )
+}
+
+/// Makes a folder of disparity (f32) of one of z-depth; 0 is missing.
+fn true_depth(from: &Path, to: &Path) -> Result<(), LabError> {
+    rewrite(from, to, &["npy"], |_, from, to| {
+        let mut array = Array::read(from)?;
+        for z in &mut array.values {
+            *z = if *z > 0.0 { 1.0 / *z } else { 0.0 };
         }
-    }
-    Ok(())
-}
-
-#[cfg(unix)]
-fn link(original: &Path, link: &Path) -> std::io::Result<()> {
-    std::os::unix::fs::symlink(original, link)
-}
-
-#[cfg(windows)]
-fn link(original: &Path, link: &Path) -> std::io::Result<()> {
-    if original.is_dir() {
-        std::os::windows::fs::symlink_dir(original, link)
-    } else {
-        std::os::windows::fs::symlink_file(original, link)
-    }
-}
-
-/// Writes z-depth (f16 or f32, [H, W]) as disparity (f32), 0 where it is missing.
-fn write_disparity(from: &Path, to: &Path) -> Result<(), LabError> {
-    let bytes = fs::read(from).map_err(LabError::file(from))?;
-    let open = || NpyFile::new(&bytes[..]).map_err(LabError::file(from));
-    let shape = open()?.shape().to_vec();
-    let depth: Vec<f32> = match open()?.try_data::<f32>() {
-        Ok(data) => data.collect::<Result<_, _>>(),
-        Err(file) => match file.try_data::<f16>() {
-            Ok(data) => data.map(|value| value.map(f32::from)).collect(),
-            Err(_) => return Err(LabError::content(from, "no array of f16 or f32")),
-        },
-    }
-    .map_err(LabError::file(from))?;
-    let mut out = Vec::new();
-    let options = npyz::WriteOptions::new().default_dtype().shape(&shape);
-    let written = options.writer(&mut out).begin_nd().and_then(|mut writer| {
-        writer.extend(depth.iter().map(|z| if *z > 0.0 { 1.0 / z } else { 0.0 }))?;
-        writer.finish()
-    });
-    written.map_err(LabError::file(to))?;
-    fs::write(to, out).map_err(LabError::file(to))
+        array.write(to)
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use half::f16;
+    use npyz::{NpyFile, WriterBuilder as _};
 
     fn scenes(folder: &Path) -> Scenes {
         Scenes {
@@ -202,9 +230,21 @@ mod tests {
         write(&format!("{TRUE_DEPTH}/0.npy"), &truth);
 
         let scenes = scenes(folder.path());
-        let copy = scenes.find("s", &[Truth::Depth]).expect("links");
-        assert_eq!(scenes.find("s", &[Truth::Depth]).expect("again"), copy);
-        assert_ne!(scenes.find("s", &[]).expect("the scene"), copy);
+        let copy = scenes
+            .find("s", 1, &[Truth::Depth], &Perturb::default())
+            .expect("links");
+        assert_eq!(
+            scenes
+                .find("s", 1, &[Truth::Depth], &Perturb::default())
+                .expect("again"),
+            copy
+        );
+        assert_ne!(
+            scenes
+                .find("s", 1, &[], &Perturb::default())
+                .expect("the scene"),
+            copy
+        );
         assert_eq!(
             array(&copy.join(DEPTH).join("0.npy")),
             [0.25, 2.0, 0.0, 0.125]
@@ -223,15 +263,22 @@ mod tests {
     fn what_is_not_there_is_named() {
         let folder = tempfile::tempdir().expect("a folder");
         let scenes = scenes(folder.path());
-        let missing = scenes.find("s", &[]).expect_err("no such scene");
+        let missing = scenes
+            .find("s", 1, &[], &Perturb::default())
+            .expect_err("no such scene");
         assert!(missing.to_string().contains('s'), "{missing}");
         let nowhere = Scenes {
             folder: None,
             ..scenes.clone()
         };
-        let said = nowhere.find("s", &[]).expect_err("no folder").to_string();
+        let said = nowhere
+            .find("s", 1, &[], &Perturb::default())
+            .expect_err("no folder")
+            .to_string();
         assert!(said.contains("--scenes"), "{said}");
-        let demo = nowhere.find("demo", &[]).expect("in the repository");
+        let demo = nowhere
+            .find("demo", 1, &[], &Perturb::default())
+            .expect("in the repository");
         assert!(
             scenes
                 .check_truth(&demo, &["images=truth/images_sharp".into()])

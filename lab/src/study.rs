@@ -1,6 +1,7 @@
 //! A study's file.
 
 use crate::error::LabError;
+use crate::perturb::Perturb;
 use crate::score::Score;
 use serde::Deserialize;
 use std::collections::BTreeSet;
@@ -59,6 +60,9 @@ pub struct Variant {
     /// What of the scene is as in truth.
     #[serde(default)]
     pub truth: Vec<Truth>,
+    /// What of the scene is worse than it is there.
+    #[serde(default)]
+    pub perturb: Perturb,
     /// The variant that this one is compared with; without it, the study's baseline.
     pub against: Option<String>,
     /// Scenes that it is not run on.
@@ -72,7 +76,7 @@ pub struct Variant {
 pub struct Knob {
     /// Name in the report.
     pub name: String,
-    /// Dotted name of the setting.
+    /// Dotted name of the setting, or `perturb.` and a field of [`Perturb`].
     pub key: String,
     /// Its values.
     pub values: Vec<Value>,
@@ -104,6 +108,33 @@ pub struct Plot {
     /// Whether the Pareto front is drawn: what nothing beats in both.
     #[serde(default)]
     pub front: bool,
+}
+
+impl Knob {
+    /// The field of [`Perturb`] that it turns, where it does not turn a setting.
+    pub(crate) fn perturbs(&self) -> Option<&str> {
+        self.key.strip_prefix("perturb.")
+    }
+
+    fn check_values(&self, key: &str) -> Result<(), (String, String)> {
+        if self.values.is_empty() {
+            let problem = "at least one is needed".to_owned();
+            return Err((format!("{key}.values"), problem));
+        }
+        let Some(part) = self.perturbs() else {
+            return Ok(());
+        };
+        if !Perturb::PARTS.contains(&part) {
+            let there = Perturb::PARTS.join("`, `");
+            let problem = format!("nothing is perturbed by `{part}`; there are `{there}`");
+            return Err((format!("{key}.key"), problem));
+        }
+        for (i, value) in self.values.iter().enumerate() {
+            let checked = Perturb::default().with(part, value);
+            checked.map_err(|problem| (format!("{key}.values[{i}]"), problem))?;
+        }
+        Ok(())
+    }
 }
 
 impl Study {
@@ -183,15 +214,15 @@ impl Study {
         known("bound".to_owned(), self.bound.as_ref())?;
         for (i, variant) in self.variants.iter().enumerate() {
             known(format!("variants[{i}].against"), variant.against.as_ref())?;
+            let checked = variant.perturb.check();
+            checked
+                .map_err(|(part, problem)| (format!("variants[{i}].perturb.{part}"), problem))?;
             self.check_scenes(&format!("variants[{i}].except"), &variant.except)?;
         }
         for (i, knob) in self.knobs.iter().enumerate() {
             known(format!("knobs[{i}].on"), knob.on.as_ref())?;
             self.check_scenes(&format!("knobs[{i}].except"), &knob.except)?;
-            if knob.values.is_empty() {
-                let key = format!("knobs[{i}].values");
-                return wrong(&key, "at least one is needed".to_owned());
-            }
+            knob.check_values(&format!("knobs[{i}]"))?;
             if self.crossed && (knob.on.is_some() || !knob.except.is_empty()) {
                 let problem = "knobs that are crossed have neither `on` nor `except`";
                 return wrong(&format!("knobs[{i}]"), problem.to_owned());
@@ -253,6 +284,38 @@ score = ["all"]
             (
                 "[[knobs]]\nname = \"K\"\nkey = \"blur.kernel_size\"\nvalues = []",
                 &["`knobs[0].values`"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\nperturb.tracks = 1",
+                &["`variants[0].perturb.tracks`", "`tracks_px`"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\nperturb.depth = 1.0",
+                &["`variants[0].perturb.depth`", "below 1"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\nperturb.poses_px = -1",
+                &["`variants[0].perturb.poses_px`", "at least 0"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\nperturb.tracks_px = nan",
+                &["`variants[0].perturb.tracks_px`", "at least 0"],
+            ),
+            (
+                "[[variants]]\nname = \"a\"\nperturb.mask_squares = 1.5",
+                &["`variants[0].perturb.mask_squares`"],
+            ),
+            (
+                "[[knobs]]\nname = \"t\"\nkey = \"perturb.tracks\"\nvalues = [1]",
+                &["`knobs[0].key`", "`tracks_px`"],
+            ),
+            (
+                "[[knobs]]\nname = \"d\"\nkey = \"perturb.depth\"\nvalues = [0.1, \"much\"]",
+                &["`knobs[0].values[1]`", "much"],
+            ),
+            (
+                "[[knobs]]\nname = \"m\"\nkey = \"perturb.mask_squares\"\nvalues = [70000]",
+                &["`knobs[0].values[0]`", "70000"],
             ),
             ("[plot]\ny = \"all\"\nz = 1", &["`plot.z`"]),
             ("about", &["line 7"]),

@@ -1,0 +1,676 @@
+//! Copies of the repository's scene with worse inputs, measured without the code that makes them.
+
+use limpid_lab::{Perturb, Scenes};
+use npyz::NpyFile;
+use std::collections::{BTreeMap, BTreeSet};
+use std::error::Error;
+use std::fs;
+use std::io::{Cursor, Read as _};
+use std::path::{Path, PathBuf};
+
+type Outcome = Result<(), Box<dyn Error>>;
+
+const DEPTH: &str = "flow3d_preprocessed/aligned_depth_anything_colmap";
+const TRACKS: &str = "flow3d_preprocessed/2d_tracks.npz";
+const IMAGES: &str = "flow3d_preprocessed/colmap/sparse/images.bin";
+
+const NONE: Perturb = Perturb {
+    depth: 0.0,
+    tracks_px: 0.0,
+    mask_squares: 0,
+    poses_px: 0.0,
+};
+
+fn demo() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../demo")
+}
+
+/// Scenes of which `demo` is the given one, with copies in `folder`.
+fn scenes(demo: PathBuf, folder: &Path) -> Scenes {
+    Scenes {
+        demo,
+        folder: None,
+        links: folder.to_owned(),
+    }
+}
+
+fn copy(perturb: Perturb, seed: u64, folder: &Path) -> Result<PathBuf, Box<dyn Error>> {
+    Ok(scenes(demo(), folder).find("demo", seed, &[], &perturb)?)
+}
+
+/// All files below a folder, as seen through links.
+fn files(folder: &Path) -> std::io::Result<BTreeMap<PathBuf, Vec<u8>>> {
+    let (mut found, mut folders) = (BTreeMap::new(), vec![folder.to_owned()]);
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(next)? {
+            let path = entry?.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(folder).expect("below it").to_owned();
+                found.insert(name, fs::read(&path)?);
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// The names of files that differ between two folders.
+fn differing(a: &Path, b: &Path) -> Result<BTreeSet<PathBuf>, Box<dyn Error>> {
+    let (a, b) = (files(a)?, files(b)?);
+    let names: BTreeSet<_> = a.keys().chain(b.keys()).cloned().collect();
+    let differs = |name: &PathBuf| a.get(name) != b.get(name);
+    Ok(names.into_iter().filter(differs).collect())
+}
+
+/// Copies a folder with all that is in it.
+fn copy_whole(from: &Path, to: &Path) -> Outcome {
+    for (name, bytes) in files(from)? {
+        let path = to.join(name);
+        fs::create_dir_all(path.parent().expect("a file lies in a folder"))?;
+        fs::write(path, bytes)?;
+    }
+    Ok(())
+}
+
+fn array(bytes: &[u8]) -> std::io::Result<Vec<f32>> {
+    NpyFile::new(bytes)?.into_vec()
+}
+
+/// Arrays in an archive, by their names.
+fn archive(path: &Path) -> Result<BTreeMap<String, Vec<f32>>, Box<dyn Error>> {
+    let mut zip = zip::ZipArchive::new(Cursor::new(fs::read(path)?))?;
+    let mut arrays = BTreeMap::new();
+    for i in 0..zip.len() {
+        let mut entry = zip.by_index(i)?;
+        let mut bytes = Vec::new();
+        entry.read_to_end(&mut bytes)?;
+        arrays.insert(entry.name().to_owned(), array(&bytes)?);
+    }
+    Ok(arrays)
+}
+
+#[test]
+fn only_the_named_part_changes_and_by_the_same_on_every_machine() -> Outcome {
+    let (here, there) = (tempfile::tempdir()?, tempfile::tempdir()?);
+    let before = files(&demo())?;
+    for (perturb, part) in [
+        (Perturb { depth: 0.2, ..NONE }, DEPTH),
+        (
+            Perturb {
+                tracks_px: 9.0,
+                ..NONE
+            },
+            TRACKS,
+        ),
+        (
+            Perturb {
+                mask_squares: 5,
+                ..NONE
+            },
+            "masks",
+        ),
+        (
+            Perturb {
+                poses_px: 1.0,
+                ..NONE
+            },
+            IMAGES,
+        ),
+    ] {
+        let one = copy(perturb, 1, here.path())?;
+        let named: BTreeSet<PathBuf> = before
+            .keys()
+            .filter(|f| f.starts_with(part))
+            .cloned()
+            .collect();
+        assert_eq!(differing(&demo(), &one)?, named, "{perturb:?}");
+        assert_eq!(copy(perturb, 1, here.path())?, one, "it is there");
+        let two = copy(perturb, 1, there.path())?;
+        assert_ne!(one, two, "in another folder");
+        assert_eq!(files(&one)?, files(&two)?, "{perturb:?}");
+        let other = copy(perturb, 2, here.path())?;
+        assert_eq!(
+            differing(&one, &other)?,
+            named,
+            "another seed, another draw"
+        );
+    }
+    let all = Perturb {
+        depth: 0.2,
+        tracks_px: 9.0,
+        mask_squares: 5,
+        poses_px: 1.0,
+    };
+    let all = files(&copy(all, 1, here.path())?)?;
+    let single = files(&copy(
+        Perturb {
+            tracks_px: 9.0,
+            ..NONE
+        },
+        1,
+        here.path(),
+    )?)?;
+    let tracks = Path::new(TRACKS);
+    assert_eq!(all[tracks], single[tracks], "whatever else is perturbed");
+    assert_eq!(files(&demo())?, before, "the scene is as it was");
+    Ok(())
+}
+
+#[test]
+fn nothing_perturbed_is_the_scene_itself() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    assert_eq!(copy(NONE, 1, folder.path())?, fs::canonicalize(demo())?);
+    Ok(())
+}
+
+/// The scale and the shift between two frames' depths by least squares, the shift in the first one's medians, and what they leave.
+fn line(before: &[f32], after: &[f32]) -> (f64, f64, f64) {
+    let depths = |d: &[f32]| -> Vec<f64> { d.iter().map(|d| 1.0 / f64::from(*d)).collect() };
+    let (x, y) = (depths(before), depths(after));
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let (mx, my) = (mean(&x), mean(&y));
+    let pairs = || x.iter().zip(&y);
+    let slope = pairs().map(|(x, y)| (x - mx) * (y - my)).sum::<f64>()
+        / x.iter().map(|x| (x - mx).powi(2)).sum::<f64>();
+    let shift = my - slope * mx;
+    let most = pairs().map(|(x, y)| (slope * x + shift - y).abs());
+    let most = most.fold(0.0, f64::max);
+    let mut sorted = x.clone();
+    sorted.sort_by(f64::total_cmp);
+    (slope, shift / sorted[x.len() / 2], most)
+}
+
+#[test]
+fn a_frames_depth_is_scaled_and_shifted_as_far_as_was_said() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let by = |depth| copy(Perturb { depth, ..NONE }, 1, folder.path());
+    let copies = [by(0.1)?, by(0.2)?];
+    let (mut scales, mut shifts) = (Vec::new(), Vec::new());
+    for entry in fs::read_dir(demo().join(DEPTH))? {
+        let file = Path::new(DEPTH).join(entry?.file_name());
+        let before = array(&fs::read(demo().join(&file))?)?;
+        let [small, large] = [&copies[0], &copies[1]].map(|copy| {
+            let after = array(&fs::read(copy.join(&file)).expect("a frame")).expect("an array");
+            line(&before, &after)
+        });
+        for ((scale, shift, left), by) in [(small, 0.1), (large, 0.2)] {
+            assert!(left < 1e-4, "{left} is left of depths of about 7");
+            assert!((scale - 1.0).abs() <= by, "{scale}");
+            assert!(shift.abs() <= 0.5 * by + 1e-5, "{shift}");
+        }
+        assert!(
+            (large.0 - 1.0 - 2.0 * (small.0 - 1.0)).abs() < 1e-4,
+            "a step further"
+        );
+        assert!((large.1 - 2.0 * small.1).abs() < 1e-4, "a step further");
+        scales.push(large.0 - 1.0);
+        shifts.push(large.1);
+    }
+    for (drawn, most) in [(scales, 0.2), (shifts, 0.1)] {
+        // Sixteen numbers, evenly drawn: their root mean square is most / sqrt(3), give or take a ninth.
+        let rms = (drawn.iter().map(|x| x * x).sum::<f64>() / drawn.len() as f64).sqrt();
+        let times = rms / (most / 3.0_f64.sqrt());
+        assert!((0.6..1.4).contains(&times), "{drawn:?}");
+        assert!(
+            drawn.iter().any(|x| *x > 0.0) && drawn.iter().any(|x| *x < 0.0),
+            "{drawn:?}"
+        );
+    }
+    Ok(())
+}
+
+#[test]
+fn missing_depth_stays_missing_and_none_comes_near_the_camera() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let scene = folder.path().join("scene");
+    copy_whole(&demo(), &scene)?;
+    let file = scene.join(DEPTH).join("00000.npy");
+    let bytes = fs::read(&file)?;
+    // The first pixel is missing, the second is right before the camera.
+    let first = bytes.len() - 4 * array(&bytes)?.len();
+    let mut changed = bytes.clone();
+    changed[first..first + 4].copy_from_slice(&0.0_f32.to_le_bytes());
+    changed[first + 4..first + 8].copy_from_slice(&1e3_f32.to_le_bytes());
+    fs::write(&file, changed)?;
+    let scenes = scenes(scene, folder.path());
+    for seed in 0..8 {
+        let worse = scenes.find("demo", seed, &[], &Perturb { depth: 0.9, ..NONE })?;
+        let after = array(&fs::read(worse.join(DEPTH).join("00000.npy"))?)?;
+        assert_eq!(after[0], 0.0, "seed {seed}");
+        // At least half of a tenth of its depth.
+        let near = after[1];
+        assert!(
+            near > 0.0 && near <= 20.0 * 1e3 * 1.001,
+            "seed {seed}: {near}"
+        );
+    }
+    Ok(())
+}
+
+#[test]
+fn tracks_are_jittered_evenly_up_to_so_many_px() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let px = 9.0;
+    let worse = copy(
+        Perturb {
+            tracks_px: px,
+            ..NONE
+        },
+        1,
+        folder.path(),
+    )?;
+    let (before, after) = (
+        archive(&demo().join(TRACKS))?,
+        archive(&worse.join(TRACKS))?,
+    );
+    let names = |a: &BTreeMap<String, Vec<f32>>| a.keys().cloned().collect::<Vec<_>>();
+    assert_eq!(names(&before), names(&after));
+    let mut moved = [Vec::new(), Vec::new()];
+    for (name, before) in &before {
+        for (a, b) in before.chunks_exact(4).zip(after[name].chunks_exact(4)) {
+            assert_eq!(a[2..], b[2..], "visibility and confidence");
+            for k in 0..2 {
+                moved[k].push(f64::from(b[k]) - f64::from(a[k]));
+            }
+        }
+    }
+    let mean = |v: &[f64], f: fn(f64) -> f64| v.iter().map(|x| f(*x)).sum::<f64>() / v.len() as f64;
+    for moved in &moved {
+        assert!(moved.len() > 10_000, "{}", moved.len());
+        assert!(moved.iter().all(|x| x.abs() <= px + 1e-4), "no further");
+        assert!(mean(moved, |x| x).abs() < 0.02 * px, "to no side");
+        let rms = mean(moved, |x| x * x).sqrt();
+        assert!((rms / (px / 3.0_f64.sqrt()) - 1.0).abs() < 0.02, "{rms}");
+    }
+    let both: Vec<f64> = moved[0].iter().zip(&moved[1]).map(|(x, y)| x * y).collect();
+    assert!(
+        mean(&both, |x| x).abs() < 0.02 * px * px,
+        "x and y know nothing of each other"
+    );
+    Ok(())
+}
+
+#[test]
+fn tracks_in_a_folder_are_jittered_as_those_in_an_archive() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let scene = folder.path().join("scene");
+    copy_whole(&demo(), &scene)?;
+    let mut zip = zip::ZipArchive::new(Cursor::new(fs::read(scene.join(TRACKS))?))?;
+    let tracks = scene.join("flow3d_preprocessed/2d_tracks");
+    zip.extract(&tracks)?;
+    fs::remove_file(scene.join(TRACKS))?;
+    let by = Perturb {
+        tracks_px: 9.0,
+        ..NONE
+    };
+    let worse = scenes(scene, folder.path()).find("demo", 1, &[], &by)?;
+    let packed = archive(&copy(by, 1, folder.path().join("packed").as_path())?.join(TRACKS))?;
+    assert!(packed.len() > 100, "one a pair of frames");
+    for (name, packed) in packed {
+        let path = worse.join("flow3d_preprocessed/2d_tracks").join(&name);
+        assert_eq!(array(&fs::read(path)?)?, packed, "{name}");
+    }
+    Ok(())
+}
+
+/// A mask's width, and which of its pixels differ from another's, of which each must be the opposite.
+fn inverted(before: &Path, after: &Path) -> Result<(usize, Vec<bool>), Box<dyn Error>> {
+    let open = |path| image::open(path).map(image::DynamicImage::into_luma8);
+    let (before, after) = (open(before)?, open(after)?);
+    assert_eq!(before.dimensions(), after.dimensions(), "its size");
+    let pixels = before.pixels().zip(after.pixels());
+    let differ = pixels.map(|(a, b)| {
+        assert!(a == b || a.0[0] == 255 - b.0[0], "{a:?} became {b:?}");
+        a != b
+    });
+    Ok((before.width() as usize, differ.collect()))
+}
+
+#[test]
+fn squares_of_masks_become_their_opposite() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let by = |mask_squares| {
+        copy(
+            Perturb {
+                mask_squares,
+                ..NONE
+            },
+            1,
+            folder.path(),
+        )
+    };
+    let (one, five) = (by(1)?, by(5)?);
+    let mut corners = BTreeSet::new();
+    for entry in fs::read_dir(demo().join("masks"))? {
+        let mask = Path::new("masks").join(entry?.file_name());
+        let (width, changed) = inverted(&demo().join(&mask), &one.join(&mask))?;
+        let side = (width as f64 / 512.0 * 25.0).round() as usize;
+        let places: Vec<usize> = (0..changed.len()).filter(|i| changed[*i]).collect();
+        let corner = places[0];
+        let square: Vec<usize> = (0..side * side)
+            .map(|i| corner + i / side * width + i % side)
+            .collect();
+        assert_eq!(places, square, "one square of {side} px");
+        corners.insert(corner);
+
+        let (_, changed) = inverted(&demo().join(&mask), &five.join(&mask))?;
+        let count = changed.iter().filter(|c| **c).count();
+        assert!((side * side..=5 * side * side).contains(&count), "{count}");
+        assert!(
+            places.iter().all(|i| changed[*i]),
+            "the first is one of the five"
+        );
+        // Every pixel that changed lies in a whole square of such.
+        let height = changed.len() / width;
+        let mut covered = vec![false; changed.len()];
+        for top in 0..=height - side {
+            for left in 0..=width - side {
+                let square =
+                    || (0..side * side).map(|i| (top + i / side) * width + left + i % side);
+                if square().all(|i| changed[i]) {
+                    square().for_each(|i| covered[i] = true);
+                }
+            }
+        }
+        assert_eq!(covered, changed, "nothing but squares");
+    }
+    assert!(corners.len() > 8, "somewhere else in each frame");
+    Ok(())
+}
+
+/// A pose as matrix and centre: camera from world is `rotation (x - centre)`.
+#[derive(Clone, Debug, PartialEq)]
+struct Seen {
+    rotation: [[f64; 3]; 3],
+    centre: [f64; 3],
+    bytes: Vec<u8>,
+}
+
+fn seen([w, x, y, z, t @ ..]: [f64; 7], bytes: &[u8]) -> Seen {
+    let n = w * w + x * x + y * y + z * z;
+    assert!((n - 1.0).abs() < 1e-6, "{n}");
+    let rotation = [
+        [
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y - w * z),
+            2.0 * (x * z + w * y),
+        ],
+        [
+            2.0 * (x * y + w * z),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z - w * x),
+        ],
+        [
+            2.0 * (x * z - w * y),
+            2.0 * (y * z + w * x),
+            1.0 - 2.0 * (x * x + y * y),
+        ],
+    ];
+    let centre = std::array::from_fn(|k| -(0..3).map(|i| rotation[i][k] * t[i]).sum::<f64>());
+    Seen {
+        rotation,
+        centre,
+        bytes: bytes.to_owned(),
+    }
+}
+
+/// The poses of a binary model, by the images' names; the demo's have no points.
+fn poses(path: &Path) -> Result<BTreeMap<String, Seen>, Box<dyn Error>> {
+    let bytes = fs::read(path)?;
+    let f64_at = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"));
+    let u64_at = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().expect("eight bytes"));
+    let (mut at, mut poses) = (8, BTreeMap::new());
+    for _ in 0..u64_at(0) {
+        let numbers = std::array::from_fn(|k| f64_at(at + 4 + 8 * k));
+        let pose = seen(numbers, &bytes[at + 4..at + 60]);
+        let name: Vec<u8> = bytes[at + 64..]
+            .iter()
+            .copied()
+            .take_while(|b| *b != 0)
+            .collect();
+        let points = at + 64 + name.len() + 1;
+        at = points + 8 + 24 * usize::try_from(u64_at(points))?;
+        poses.insert(String::from_utf8(name)?, pose);
+    }
+    Ok(poses)
+}
+
+fn is_training(name: &str) -> bool {
+    let number: u32 = name.trim_end_matches(".png").parse().expect("a number");
+    number.is_multiple_of(2)
+}
+
+/// Root mean square of how far the pixels' points at a depth are seen from where they were, px.
+fn moved_px(before: &Seen, after: &Seen, depth: f64) -> f64 {
+    // `cameras.bin` of the demo.
+    let (width, height, focal) = (160, 90, 160.0 / 1.2);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for v in 0..height {
+        for u in 0..width {
+            let (x, y) = (f64::from(u) + 0.5 - 80.0, f64::from(v) + 0.5 - 45.0);
+            let p = [x / focal * depth, y / focal * depth, depth];
+            let world: [f64; 3] = std::array::from_fn(|k| {
+                before.centre[k] + (0..3).map(|i| before.rotation[i][k] * p[i]).sum::<f64>()
+            });
+            let q: [f64; 3] = std::array::from_fn(|i| {
+                (0..3)
+                    .map(|k| after.rotation[i][k] * (world[k] - after.centre[k]))
+                    .sum()
+            });
+            sum += (focal * q[0] / q[2] - x).powi(2) + (focal * q[1] / q[2] - y).powi(2);
+            count += 1.0;
+        }
+    }
+    f64::sqrt(sum / count)
+}
+
+fn median_depth() -> Result<f64, Box<dyn Error>> {
+    let mut all = Vec::new();
+    for entry in fs::read_dir(demo().join(DEPTH))? {
+        all.extend(array(&fs::read(entry?.path())?)?);
+    }
+    all.sort_by(f32::total_cmp);
+    Ok(1.0 / f64::from(all[all.len() / 2]))
+}
+
+#[test]
+fn training_poses_are_off_by_so_many_px_and_test_poses_are_not() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let before = poses(&demo().join(IMAGES))?;
+    let depth = median_depth()?;
+    for px in [0.5, 2.0] {
+        let worse = copy(
+            Perturb {
+                poses_px: px,
+                ..NONE
+            },
+            1,
+            folder.path(),
+        )?;
+        let after = poses(&worse.join(IMAGES))?;
+        assert_eq!(before.len(), after.len());
+        let (mut squares, mut frames) = (0.0, 0.0);
+        let (mut shift, mut turn) = ([0.0; 3], [0.0; 3]);
+        let (mut shifted, mut turned) = (0.0, 0.0);
+        for (name, before) in &before {
+            let after = &after[name];
+            if !is_training(name) {
+                assert_eq!(before, after, "{name}");
+                continue;
+            }
+            squares += moved_px(before, after, depth).powi(2);
+            frames += 1.0;
+            // How the camera turned, in the world's axes: what is askew of the change of the rotation.
+            let (a, b) = (&before.rotation, &after.rotation);
+            let change = |r: usize, c: usize| (0..3).map(|k| b[k][r] * a[k][c]).sum::<f64>();
+            let by = [(2, 1), (0, 2), (1, 0)].map(|(r, c)| 0.5 * (change(r, c) - change(c, r)));
+            for k in 0..3 {
+                let moved = (after.centre[k] - before.centre[k]) / depth;
+                shift[k] += moved;
+                turn[k] += by[k];
+                shifted += moved * moved;
+                turned += by[k] * by[k];
+            }
+        }
+        let rms = f64::sqrt(squares / frames);
+        assert!((rms / px - 1.0).abs() < 0.03, "{rms} px, not {px}");
+        let (shifted, turned) = (f64::sqrt(shifted / frames), f64::sqrt(turned / frames));
+        for k in 0..3 {
+            assert!(
+                (shift[k] / frames).abs() < 1e-6 * shifted,
+                "no shift of all"
+            );
+            assert!((turn[k] / frames).abs() < 1e-3 * turned, "no turn of all");
+        }
+        assert!(
+            (0.5..2.0).contains(&(shifted / turned)),
+            "{shifted} and {turned}"
+        );
+    }
+    Ok(())
+}
+
+/// The demo with its COLMAP model as text, with a comment, and names of folders before files'.
+fn with_text_model(to: &Path) -> Result<String, Box<dyn Error>> {
+    copy_whole(&demo(), to)?;
+    let bytes = fs::read(to.join(IMAGES))?;
+    let mut text = String::from("# images\n");
+    for (id, (name, pose)) in poses(&to.join(IMAGES))?.iter().enumerate() {
+        let numbers = pose.bytes.chunks_exact(8);
+        let numbers = numbers.map(|n| f64::from_le_bytes(n.try_into().expect("eight")).to_string());
+        let numbers: Vec<String> = numbers.collect();
+        text += &format!("{} {} 1 {name}\n", id + 1, numbers.join(" "));
+        text += if id % 2 == 0 { "\n" } else { "1.5 2.5 -1\n" };
+    }
+    assert_eq!(bytes[..8], 32_u64.to_le_bytes(), "sixteen pairs");
+    let model = to.join(IMAGES);
+    fs::remove_file(&model)?;
+    fs::write(model.with_extension("txt"), &text)?;
+    let cameras = fs::read(model.with_file_name("cameras.bin"))?;
+    let f64_at = |at: usize| f64::from_le_bytes(cameras[at..at + 8].try_into().expect("eight"));
+    let numbers: Vec<String> = (0..4).map(|k| f64_at(32 + 8 * k).to_string()).collect();
+    let line = format!("# cameras\n1 PINHOLE 160 90 {}\n", numbers.join(" "));
+    fs::write(model.with_file_name("cameras.txt"), line)?;
+    Ok(text)
+}
+
+#[test]
+fn a_model_of_text_is_perturbed_as_a_binary_one() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let scene = folder.path().join("scene");
+    let before = with_text_model(&scene)?;
+    let by = Perturb {
+        poses_px: 2.0,
+        ..NONE
+    };
+    let worse = scenes(scene, folder.path()).find("demo", 1, &[], &by)?;
+    let after = fs::read_to_string(worse.join(IMAGES).with_extension("txt"))?;
+    let binary = copy(by, 1, folder.path().join("binary").as_path())?;
+    let binary = poses(&binary.join(IMAGES))?;
+    assert_eq!(before.lines().count(), after.lines().count());
+    let mut moved = 0;
+    for (before, after) in before.lines().zip(after.lines()) {
+        let fields: Vec<&str> = after.split(' ').collect();
+        let is_moved = fields.len() == 10 && is_training(fields[9]);
+        assert_eq!(before != after, is_moved, "{before} is {after}");
+        if is_moved {
+            let mut numbers = [0.0; 7];
+            for (number, field) in numbers.iter_mut().zip(&fields[1..8]) {
+                *number = field.parse()?;
+            }
+            assert_eq!(
+                binary[fields[9]].bytes,
+                numbers.map(f64::to_le_bytes).concat()
+            );
+            moved += 1;
+        }
+    }
+    assert_eq!(moved, 16, "the training frames");
+    Ok(())
+}
+
+#[test]
+fn where_the_model_has_training_frames_alone_all_are_moved() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let scene = folder.path().join("scene");
+    let text = with_text_model(&scene)?;
+    let mut alone = String::new();
+    let lines: Vec<&str> = text.lines().skip(1).collect();
+    for pair in lines.chunks_exact(2) {
+        let (head, name) = pair[0].rsplit_once(' ').expect("fields");
+        if is_training(name) {
+            let number: u32 = name.trim_end_matches(".png").parse()?;
+            alone += &format!("{head} {:05}.png\n\n", number / 2);
+        }
+    }
+    fs::write(scene.join(IMAGES).with_extension("txt"), &alone)?;
+    let by = Perturb {
+        poses_px: 2.0,
+        ..NONE
+    };
+    let worse = scenes(scene, folder.path()).find("demo", 1, &[], &by)?;
+    let after = fs::read_to_string(worse.join(IMAGES).with_extension("txt"))?;
+    let moved = alone.lines().zip(after.lines()).filter(|(a, b)| a != b);
+    assert_eq!(moved.count(), 16);
+    Ok(())
+}
+
+#[test]
+fn what_is_half_made_is_made_anew() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let by = Perturb { depth: 0.2, ..NONE };
+    let scene = folder.path().join("scene");
+    copy_whole(&demo(), &scene)?;
+    let last = scene.join(DEPTH).join("00015.npy");
+    let good = fs::read(&last)?;
+    fs::write(&last, &good[..good.len() / 2])?;
+    let scenes = scenes(scene, &folder.path().join("links"));
+    let find = || scenes.find("demo", 1, &[], &by);
+    let said = find()
+        .expect_err("an array that ends too early")
+        .to_string();
+    assert!(said.contains("00015.npy"), "{said}");
+    fs::write(&last, good)?;
+    let whole = find()?;
+    let other = copy(by, 1, folder.path().join("other").as_path())?;
+    assert_eq!(files(&whole)?, files(&other)?);
+    Ok(())
+}
+
+#[test]
+fn a_part_that_a_scene_lacks_is_named() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    for (perturb, part) in [
+        (Perturb { depth: 0.2, ..NONE }, "aligned_depth"),
+        (
+            Perturb {
+                tracks_px: 9.0,
+                ..NONE
+            },
+            "2d_tracks",
+        ),
+        (
+            Perturb {
+                mask_squares: 5,
+                ..NONE
+            },
+            "masks",
+        ),
+        (
+            Perturb {
+                poses_px: 1.0,
+                ..NONE
+            },
+            "colmap",
+        ),
+    ] {
+        let scene = folder.path().join(part);
+        fs::create_dir_all(&scene)?;
+        let links = folder.path().join("links");
+        let failed = scenes(scene, &links).find("demo", 1, &[], &perturb);
+        let said = failed.expect_err("an empty scene").to_string();
+        assert!(said.contains(part) && said.contains("except"), "{said}");
+    }
+    Ok(())
+}
