@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 /// An array as f32, row-major.
-#[derive(Debug, PartialEq)]
+#[derive(Debug)]
 pub(crate) struct Array {
     pub(crate) shape: Vec<u64>,
     pub(crate) values: Vec<f32>,

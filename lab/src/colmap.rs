@@ -18,7 +18,7 @@ pub(crate) fn images_file(scene: &Path) -> Option<PathBuf> {
 }
 
 /// Camera from world.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Pose {
     /// Of length one.
     pub(crate) rotation: DQuat,
@@ -37,7 +37,7 @@ pub(crate) struct Posed {
 }
 
 /// A camera of a model; its distortion is left out.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Lens {
     /// Width and height, px.
     pub(crate) size: DVec2,

@@ -196,7 +196,7 @@ impl Arm {
         !self.truth.is_empty()
     }
 
-    /// Whether it is given less than there is.
+    /// Whether its inputs are worse than there are.
     #[must_use]
     pub fn is_perturbed(&self) -> bool {
         self.perturb.is_any()

@@ -44,7 +44,10 @@ impl Perturb {
         *self != Self::default()
     }
 
-    /// With one of its parts at another value, which `with` was checked to take.
+    /// With one of its parts at another value.
+    ///
+    /// # Errors
+    /// Why that part cannot have it.
     pub(crate) fn with(&self, part: &str, value: &Value) -> Result<Self, String> {
         let message = |e: toml::de::Error| e.message().to_owned();
         let mut table = Table::try_from(self).map_err(|e| e.to_string())?;
@@ -211,17 +214,14 @@ pub(crate) fn masks(from: &Path, to: &Path, squares: u16, draw: Draw<'_>) -> Res
         let side = (f64::from(width) * 25.0 / 512.0).round() as u32;
         let side = side.max(1).min(width).min(height);
         let mut noise = draw.noise("masks", frame);
-        let corners: Vec<(u32, u32)> = (0..squares)
-            .map(|_| (noise.whole(width - side), noise.whole(height - side)))
-            .collect();
-        // Where two overlap, once.
-        let within = |at: u32, corner: u32| (corner..corner + side).contains(&at);
-        for (x, y, pixel) in mask.enumerate_pixels_mut() {
-            if corners
-                .iter()
-                .any(|&(left, top)| within(x, left) && within(y, top))
-            {
-                pixel.0[0] = u8::MAX - pixel.0[0];
+        let before = mask.clone();
+        for _ in 0..squares {
+            let (left, top) = (noise.whole(width - side), noise.whole(height - side));
+            for y in top..top + side {
+                for x in left..left + side {
+                    // Where two squares overlap, once.
+                    mask.get_pixel_mut(x, y).0[0] = u8::MAX - before.get_pixel(x, y).0[0];
+                }
             }
         }
         let to = to.with_extension("png");

@@ -89,7 +89,7 @@ pub struct Row {
     pub knob: Option<String>,
     /// Whether it is given something of the truth.
     pub is_given_truth: bool,
-    /// Whether its inputs were perturbed.
+    /// Whether its inputs are worse than there are.
     pub is_perturbed: bool,
     /// How many scenes it is a mean of.
     pub scenes: usize,
