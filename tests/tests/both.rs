@@ -1,4 +1,4 @@
-//! With `--blur auto` the camera's first trial decides whether kernels come on top of it: what follows from it.
+//! What the camera's first trial finds and decides, and what follows from it.
 
 use burn::tensor::{DType, Device, Tensor};
 use capture::{Capture, samples};
@@ -7,10 +7,12 @@ use io::{Frame, Image, Map, Scene, View};
 use limpid_tests::{noise, quick_devices, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
 use trainer::settings::BlurKind;
-use trainer::{BlurModel, Settings, Trainer};
+use trainer::{BlurFigures, BlurModel, Settings, Trainer};
 
 const FRAMES: usize = 6;
 const SIZE: f64 = 4.0;
+/// Disparities of focus, from the wall (1) to the things before it (1.6).
+const FOCUS: [f64; FRAMES] = [1.6, 1.5, 1.0, 1.6, 1.3, 1.6];
 
 /// Pictures of the wall by a camera that shakes by so many rad in an exposure, with such an aperture (scene sizes), and hunts for
 /// its focus.
@@ -29,8 +31,7 @@ fn scene(shake: f64, aperture: f64, device: &Device) -> Scene {
     }
     capture.paths = f32s(&paths, [FRAMES, 12]);
     capture.aperture = f32s(&[aperture], [1, 1]);
-    let focus: Vec<f64> = (0..FRAMES).map(|i| 1.0 + 0.12 * i as f64).collect();
-    capture.focus = f32s(&focus, [FRAMES, 1]);
+    capture.focus = f32s(&FOCUS, [FRAMES, 1]);
 
     let camera = Camera::pinhole([56, 40], [60.0; 2], [28.0, 20.0]);
     let frame = |index: usize| {
@@ -93,8 +94,11 @@ fn trained(shake: f64, aperture: f64, model: BlurKind, device: &Device) -> (Trai
         ..Settings::default()
     };
     settings.blur.model = model;
-    let mut trainer =
-        Trainer::new(scene(shake, aperture, device), settings, device).expect("a trainer");
+    behind_first_trial(scene(shake, aperture, device), settings, device)
+}
+
+fn behind_first_trial(scene: Scene, settings: Settings, device: &Device) -> (Trainer, Vec<String>) {
+    let mut trainer = Trainer::new(scene, settings, device).expect("a trainer");
     let mut decided = Vec::new();
     let trial = trainer.schedule().blur_moments[1];
     while trainer.iteration() <= trial {
@@ -147,5 +151,36 @@ fn a_run_that_was_interrupted_behind_the_decision_goes_on_with_the_same_bits() {
                 trainer.iteration()
             );
         }
+    }
+}
+
+/// In a short run no frame has found its focus by then, and a lens that is in focus at the wall in every frame explains little.
+#[test]
+fn before_a_lens_goes_its_focus_is_tried_out() {
+    for (name, device) in quick_devices() {
+        let mut settings = Settings {
+            iterations: 200,
+            ..Settings::default()
+        };
+        settings.blur.model = BlurKind::Camera;
+        settings.camera.path = false;
+        settings.camera.aperture = 0.09;
+        settings.learning_rates.camera_focus = 0.0;
+        let (trainer, _) = behind_first_trial(scene(0.0, 0.06, &device), settings, &device);
+        let Some(BlurFigures::Camera(figures)) = trainer.evaluate().expect("scores").blur else {
+            panic!("{name}: the camera's figures");
+        };
+        assert!(figures.aperture > 0.0, "{name}: the lens is gone");
+        let size = trainer.survey().scene_size;
+        let off = |found: f64, truth: f64| (found * SIZE / size - truth).abs();
+        let pairs = || figures.frames.iter().zip(FOCUS);
+        let found: f64 = pairs()
+            .map(|(frame, truth)| off(size / frame.focus, truth))
+            .sum();
+        let before: f64 = FOCUS.iter().map(|truth| off(1.0, *truth)).sum();
+        assert!(
+            found < 0.8 * before,
+            "{name}: {found} of {before}, {figures:?}"
+        );
     }
 }

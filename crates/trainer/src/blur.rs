@@ -212,8 +212,9 @@ impl BlurModel {
         };
         let revised = camera.revise(world, looks)?;
         let paths = Parameter::new("camera.paths", Group::CameraPath);
+        let focuses = Parameter::new("camera.focus", Group::CameraFocus);
         Ok(Revision {
-            changed: vec![(paths, revised.frames)],
+            changed: vec![(paths, revised.paths), (focuses, revised.focuses)],
             worth: revised.worth,
         })
     }

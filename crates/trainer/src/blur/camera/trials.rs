@@ -23,6 +23,13 @@ fn pays(worth: f64) -> bool {
     worth > PART_PAYS
 }
 
+/// A lens that does not pay stays if it is worth more than this with the focus that explains each frame best: in a short run
+/// focus has not come far by itself. Twice as much, since so many distances are tried on the very frames that are to be explained.
+/// (RESULTS.md, "Focus that is tried out", has what was seen.)
+const FOCUSED_LENS_PAYS: f64 = 0.1;
+/// How many distances of focus are tried on a frame.
+const FOCUSES: usize = 5;
+
 /// Where frames have both, lens and paths are worth more than this at the first trial. (Measured: the same section.)
 const BOTH_ARE_THERE: Worth = Worth {
     lens: 0.03,
@@ -60,8 +67,9 @@ impl fmt::Display for Worth {
 
 /// What a trial came to.
 pub(in crate::blur) struct Revised {
-    /// Frames whose path changed.
-    pub(in crate::blur) frames: Vec<usize>,
+    /// Frames whose path changed, and whose focus.
+    pub(in crate::blur) paths: Vec<usize>,
+    pub(in crate::blur) focuses: Vec<usize>,
     /// What the parts were worth, at the first trial.
     pub(in crate::blur) worth: Option<Worth>,
 }
@@ -83,11 +91,14 @@ impl CameraBlur {
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
         }
+        let focus = host(trial.capture.focus.clone());
         let (mut now, worth) = trial.try_parts(&world, looks)?;
+        let focused = host(trial.capture.focus.clone());
+        let focuses = (0..focus.len()).filter(|&i| focus[i] != focused[i]);
         if self.settings.lens && last {
             now = trial.try_apertures(&world, looks, now)?;
         }
-        let frames = trial.try_paths(&world, looks, &now, last)?;
+        let paths = trial.try_paths(&world, looks, &now, last)?;
         for ((_, own), (_, found)) in self
             .parameters_mut()
             .into_iter()
@@ -98,7 +109,8 @@ impl CameraBlur {
         self.shared = None;
         let first = self.moments.trials.first() == it.as_ref();
         Ok(Revised {
-            frames,
+            paths,
+            focuses: focuses.collect(),
             worth: first.then_some(worth),
         })
     }
@@ -180,33 +192,80 @@ impl CameraBlur {
         Ok(())
     }
 
-    /// Leaves the lens out if it does not pay, and then all paths; returns the frames' errors with what stays, and what share
-    /// of the error lens and paths were worth.
+    /// Leaves the lens out if it does not pay, also with each frame in better focus, and then all paths if they do not; returns
+    /// the frames' errors with what stays, and what share of the error lens and paths are worth.
     fn try_parts(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
     ) -> Result<(Vec<f64>, Worth), TrainError> {
-        let mut now = self.errors(world, looks)?;
-        type Part = fn(&mut Capture) -> &mut Tensor<2>;
-        let parts: [Part; 2] = [|c| &mut c.aperture, |c| &mut c.paths];
-        let mut worth = [0.0; 2];
-        for (part, worth) in parts.into_iter().zip(&mut worth) {
-            let own = part(&mut self.capture).clone();
-            if host(own.clone()).iter().all(|value| *value == 0.0) {
-                continue;
-            }
-            *part(&mut self.capture) = own.zeros_like();
-            let without = self.errors(world, looks)?;
-            *worth = total(&without) / total(&now) - 1.0;
-            if pays(*worth) {
-                *part(&mut self.capture) = own;
+        let now = self.errors(world, looks)?;
+        let own = self.capture.clone();
+        let (mut left, mut lens) =
+            self.try_without(|c| &mut c.aperture, world, looks, now.clone())?;
+        if !pays(lens) && host(own.aperture.clone()) != [0.0] {
+            self.capture.aperture = own.aperture;
+            let focused = self.try_focuses(world, looks, &now)?;
+            let worth = total(&left) / total(&focused) - 1.0;
+            if worth > FOCUSED_LENS_PAYS {
+                (left, lens) = (focused, worth);
             } else {
-                now = without;
+                self.capture.aperture = self.capture.aperture.zeros_like();
+                self.capture.focus = own.focus;
             }
         }
-        let [lens, paths] = worth;
-        Ok((now, Worth { lens, paths }))
+        let (left, paths) = self.try_without(|c| &mut c.paths, world, looks, left)?;
+        Ok((left, Worth { lens, paths }))
+    }
+
+    /// Leaves a part out if it does not pay; takes the frames' errors as it is, and returns them with what stays, and what share
+    /// of the error the part is worth.
+    fn try_without(
+        &mut self,
+        part: fn(&mut Capture) -> &mut Tensor<2>,
+        world: &World,
+        looks: &[Look<'_>],
+        now: Vec<f64>,
+    ) -> Result<(Vec<f64>, f64), TrainError> {
+        let own = part(&mut self.capture).clone();
+        if host(own.clone()).iter().all(|value| *value == 0.0) {
+            return Ok((now, 0.0));
+        }
+        *part(&mut self.capture) = own.zeros_like();
+        let without = self.errors(world, looks)?;
+        let worth = total(&without) / total(&now) - 1.0;
+        if !pays(worth) {
+            return Ok((without, worth));
+        }
+        *part(&mut self.capture) = own;
+        Ok((now, worth))
+    }
+
+    /// Leaves on every frame the distance of focus that explains it best, of its own and of some between which the scene lies;
+    /// takes the frames' errors as they are, and returns them with what stays.
+    fn try_focuses(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        now: &[f64],
+    ) -> Result<Vec<f64>, TrainError> {
+        let [near, far] = self.depth_range.map(|depth| self.scene_size / depth);
+        let mut least = now.to_vec();
+        for ((frame, look), least) in looks.iter().enumerate().zip(&mut least) {
+            let mut best = host(self.capture.focus.clone().narrow(0, frame, 1));
+            for k in 0..FOCUSES {
+                let share = (k as f64 + 0.5) / FOCUSES as f64;
+                let focus = [(far + share * (near - far)) as f32];
+                set_row(&mut self.capture.focus, frame, &focus);
+                let error = self.error(world, look)?;
+                if error < *least {
+                    *least = error;
+                    best = focus.to_vec();
+                }
+            }
+            set_row(&mut self.capture.focus, frame, &best);
+        }
+        Ok(least)
     }
 
     /// Leaves a larger or smaller aperture if that pays; takes the frames' errors as it is, and returns them with what stays.
@@ -240,12 +299,7 @@ impl CameraBlur {
     }
 
     fn set_path(&mut self, frame: usize, path: &[f32]) {
-        let paths = self.capture.paths.clone();
-        let device = paths.device();
-        let [frames, width] = paths.dims();
-        let mut values = host(paths);
-        values[frame * width..(frame + 1) * width].copy_from_slice(path);
-        self.capture.paths = tensor(values, [frames, width], &device);
+        set_row(&mut self.capture.paths, frame, path);
     }
 
     /// Mean squared difference between what the camera would have seen and the frame.
@@ -266,6 +320,13 @@ impl CameraBlur {
         let difference = (seen.clone() - view.image(&seen)).square().mean();
         Ok(f64::from(host(difference)[0]))
     }
+}
+
+fn set_row(table: &mut Tensor<2>, row: usize, values: &[f32]) {
+    let (device, [rows, width]) = (table.device(), table.dims());
+    let mut all = host(table.clone());
+    all[row * width..(row + 1) * width].copy_from_slice(values);
+    *table = tensor(all, [rows, width], &device);
 }
 
 fn total(errors: &[f64]) -> f64 {
