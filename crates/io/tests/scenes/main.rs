@@ -5,6 +5,7 @@
 )]
 
 mod broken;
+mod d2rf;
 mod distorted;
 mod dyblurf;
 mod dycheck;
