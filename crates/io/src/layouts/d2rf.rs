@@ -19,7 +19,7 @@ use std::path::Path;
 
 use super::stereo::{CENTERED, Cameras, points, sharp_frames};
 use crate::folder::{Listing, PICTURES, list};
-use crate::plan::{DepthFile, Layout, Plan, PlannedFrame};
+use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
@@ -67,7 +67,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         frames.push(PlannedFrame {
             view: cameras.view(2 * i, left, image, i as f32)?,
             depth: depth.get(left).cloned().map(DepthFile::Disparity),
-            mask: masks.files.get(left).cloned(),
+            mask: masks.files.get(left).cloned().map(MaskFile::File),
         });
     }
 

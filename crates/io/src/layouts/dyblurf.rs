@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use super::stereo::{CENTERED, Cameras, points, sharp_frames};
 use crate::folder::{Listing, PICTURES, list};
-use crate::plan::{DepthFile, Layout, Plan, PlannedFrame};
+use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
@@ -69,7 +69,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         frames.push(PlannedFrame {
             view: cameras.view(2 * i, name, images.files[name].clone(), i as f32)?,
             depth: depth.map(|path| DepthFile::Depth { path, scale: 1.0 }),
-            mask: masks.files.get(name).cloned(),
+            mask: masks.files.get(name).cloned().map(MaskFile::File),
         });
     }
     let test_at = root.join("inference_images");

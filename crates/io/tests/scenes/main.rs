@@ -15,3 +15,4 @@ mod megasam;
 mod nerfstudio;
 mod real;
 mod shape_of_motion;
+mod vipe;

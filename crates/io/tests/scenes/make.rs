@@ -13,19 +13,23 @@ pub(crate) const HEIGHT: usize = 12;
 pub(crate) const FRAMES: usize = 3;
 pub(crate) const FOCAL: f64 = 20.0;
 
-/// `.npy` of f32.
-pub(crate) fn npy(shape: &[usize], values: &[f32]) -> Vec<u8> {
+/// `.npy` of numbers of NumPy's type `kind`.
+pub(crate) fn array(kind: &str, shape: &[usize], bytes: &[u8]) -> Vec<u8> {
     let sides: Vec<_> = shape.iter().map(|s| format!("{s},")).collect();
-    let dict = format!(
-        "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}), }}",
-        sides.concat()
-    );
+    let sides = sides.concat();
+    let dict = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({sides}), }}");
     let header = format!("{dict:<117}\n");
     let mut data = b"\x93NUMPY\x01\x00".to_vec();
     data.extend((header.len() as u16).to_le_bytes());
     data.extend(header.as_bytes());
-    data.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    data.extend(bytes);
     data
+}
+
+/// `.npy` of f32.
+pub(crate) fn npy(shape: &[usize], values: &[f32]) -> Vec<u8> {
+    let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+    array("<f4", shape, &bytes)
 }
 
 pub(crate) fn write(path: &Path, data: impl AsRef<[u8]>) {
