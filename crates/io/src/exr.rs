@@ -31,12 +31,15 @@ pub(crate) fn parse_depth_exr(data: &[u8], path: &Path) -> Result<Map, IoError> 
         IoError::malformed(path, what)
     })?;
     let Vec2(width, height) = header.layer_size;
-    let bytes = if is_half { 2 } else { 4 };
+    let bytes: usize = if is_half { 2 } else { 4 };
     // Nothing was allocated by these sizes so far.
-    let pixels = width as u64 * height as u64;
+    let pixels = (width as u64).saturating_mul(height as u64);
     if pixels > MAX_PIXELS || pixels * bytes as u64 > MAX_PACKING * data.len() as u64 {
         let what = format!("promises {width}x{height} pixels in {} bytes", data.len());
         return Err(IoError::truncated(path, what));
+    }
+    if pixels == 0 {
+        return Err(IoError::malformed(path, "the EXR has no pixels"));
     }
 
     let mut values = Vec::new();
