@@ -12,7 +12,7 @@ use tempfile::TempDir;
 pub type Target = fn(&Path, &[u8]) -> Result<(), IoError>;
 
 /// Every target by its name.
-pub const TARGETS: [(&str, Target); 7] = [
+pub const TARGETS: [(&str, Target); 8] = [
     ("npy", npy),
     ("picture", picture),
     ("colmap_binary", colmap_binary),
@@ -20,6 +20,7 @@ pub const TARGETS: [(&str, Target); 7] = [
     ("transforms", transforms),
     ("ply", ply),
     ("tracks", tracks),
+    ("exr", exr),
 ];
 
 /// An array, as a frame's disparity.
@@ -90,6 +91,39 @@ pub fn tracks(scenes: &Path, bytes: &[u8]) -> Result<(), IoError> {
         ("binary", "flow3d_preprocessed/2d_tracks/0_1.npy")
     };
     open(&scenes.join(scene), file, bytes)
+}
+
+/// An EXR, as the depth of ViPE's one frame.
+pub fn exr(scenes: &Path, bytes: &[u8]) -> Result<(), IoError> {
+    let archive = stored("00000.exr", bytes);
+    open(&scenes.join("vipe"), "depth/clip.zip", &archive)
+}
+
+/// A zip archive of one file, which is not packed.
+fn stored(name: &str, bytes: &[u8]) -> Vec<u8> {
+    let int = |value: usize| (value as u32).to_le_bytes();
+    let (size, sum) = (int(bytes.len()), crc32fast::hash(bytes).to_le_bytes());
+    let length = (name.len() as u16).to_le_bytes();
+    // Version 2.0, neither flags nor packing nor time, and no extra field.
+    let about = [
+        &[20, 0, 0, 0, 0, 0, 0, 0, 0, 0][..],
+        &sum,
+        &size,
+        &size,
+        &length,
+        &[0; 2],
+    ]
+    .concat();
+    let file = [b"PK\x03\x04", &about[..], name.as_bytes(), bytes].concat();
+    // No comment, the first disk, no attributes, at the beginning.
+    let entry = [b"PK\x01\x02\x14\0", &about[..], &[0; 14], name.as_bytes()].concat();
+    let end = [
+        &b"PK\x05\x06\0\0\0\0\x01\0\x01\0"[..],
+        &int(entry.len()),
+        &int(file.len()),
+        &[0; 2],
+    ];
+    [file, entry, end.concat()].concat()
 }
 
 /// A copy of the good scenes, for targets to change.

@@ -9,12 +9,14 @@
 //! is held against the length of the file before anything is allocated from it, and whatever is wrong
 //! comes back as an [`IoError`] that names the file.
 
+mod archive;
 mod atomic;
 mod bytes;
 mod camera_model;
 mod colmap;
 mod error;
 mod export;
+mod exr;
 mod folder;
 mod json;
 mod key_frames;

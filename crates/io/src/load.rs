@@ -8,7 +8,7 @@ use crate::folder::{PICTURES, list};
 use crate::notes::note;
 use crate::npy::read_npy;
 use crate::picture::{has_aspect, read_depth_png, read_image_for, read_map_for};
-use crate::plan::{DepthFile, Picture, Plan, PlannedFrame, PlannedView};
+use crate::plan::{DepthFile, MaskFile, Picture, Plan, PlannedFrame, PlannedView};
 use crate::resample::{resize_nearest, shrink_camera, shrink_depth, shrink_image, shrink_map};
 use crate::{Frame, Image, IoError, LoadOptions, Map, Scene, Undistortion, View};
 
@@ -252,7 +252,7 @@ impl Loader {
         let depth = planned.depth.as_ref();
         let depth = depth.map(|file| self.depth(file, size)).transpose()?;
         let mask = planned.mask.as_ref();
-        let mask = mask.map(|path| self.mask(path, size)).transpose()?;
+        let mask = mask.map(|file| self.mask(file, size)).transpose()?;
         let (depth, mask) = match undone {
             Some(undone) => (
                 depth.map(|depth| undone.depth(&depth)),
@@ -366,8 +366,11 @@ impl Loader {
     }
 
     /// A mask of the training frames' `size`, 1 where something moves.
-    fn mask(&mut self, path: &Path, size: (usize, usize)) -> Result<Map, IoError> {
-        let map = read_map_for(path, Some(size), &mut self.notes)?;
+    fn mask(&mut self, file: &MaskFile, size: (usize, usize)) -> Result<Map, IoError> {
+        let (map, path) = match file {
+            MaskFile::File(path) => (read_map_for(path, Some(size), &mut self.notes)?, path),
+            MaskFile::Loaded { mask, archive } => (mask.clone(), archive),
+        };
         let mut map = self.resized(map, "mask", path, size)?;
         for value in &mut map.values {
             if self.inverted_masks {

@@ -1,16 +1,13 @@
 //! Arrays: `.npy` files and the entries of `.npz` archives.
 
 use std::collections::BTreeMap;
-use std::io::{Cursor, Read as _};
 use std::path::Path;
 
 use npyz::{DType, NpyFile, NpyHeader, Order, TypeChar};
-use zip::ZipArchive;
-use zip::result::ZipError;
 
 use crate::IoError;
+use crate::archive::for_each_entry;
 use crate::bytes::read_file;
-use crate::picture::MAX_PACKING;
 
 /// An array as f32, row-major.
 #[derive(Debug)]
@@ -159,41 +156,17 @@ fn to_row_major(values: &[f32], shape: &[usize], strides: &[u64]) -> Vec<f32> {
 
 /// Reads every array of an `.npz` archive, by entry name without `.npy`.
 pub(crate) fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>, IoError> {
-    let data = read_file(path)?;
-    let archive_bytes = data.len() as u64;
-    let malformed = |e: ZipError| IoError::malformed(path, format!("not an npz archive: {e}"));
-    let mut zip = ZipArchive::new(Cursor::new(&data)).map_err(malformed)?;
-
     let mut arrays = BTreeMap::new();
-    let mut packed_total = 0u64;
-    for index in 0..zip.len() {
-        let entry = zip.by_index(index).map_err(malformed)?;
-        let Some(name) = entry.name().strip_suffix(".npy").map(String::from) else {
-            continue;
-        };
-        // Sizes in an archive's directory are promises too; overlapping entries would make a small
-        // file unpack to anything.
-        let (packed, size) = (entry.compressed_size(), entry.size());
-        packed_total = packed_total.saturating_add(packed);
-        if packed_total > archive_bytes || size > packed.saturating_mul(MAX_PACKING) {
-            return Err(IoError::truncated(
-                path,
-                format!("entry {name} promises {size} bytes, packed into {packed}"),
-            ));
-        }
-        let mut bytes = Vec::new();
-        entry
-            .take(size)
-            .read_to_end(&mut bytes)
-            .map_err(|e| IoError::malformed(path, format!("entry {name}: {e}")))?;
+    for_each_entry(path, ".npy", |name, bytes| {
         let array = parse_npy(&bytes, path, &format!("entry {name}"))?;
-        if arrays.insert(name.clone(), array).is_some() {
-            return Err(IoError::malformed(
-                path,
-                format!("entry {name} is there twice"),
-            ));
+        match arrays.insert(name.to_owned(), array) {
+            None => Ok(()),
+            Some(_) => {
+                let what = format!("entry {name} is there twice");
+                Err(IoError::malformed(path, what))
+            }
         }
-    }
+    })?;
     Ok(arrays)
 }
 

@@ -42,16 +42,15 @@ pub struct Map {
 pub(crate) const MAX_PACKING: u64 = 1100;
 
 /// No picture of a video comes near (8K has 33 million); larger ones are refused before they are allocated.
-const MAX_PIXELS: u64 = 100_000_000;
+pub(crate) const MAX_PIXELS: u64 = 100_000_000;
 
-/// A picture as it is stored, and how its EXIF data wants it turned.
-fn decode(path: &Path) -> Result<(DynamicImage, Orientation), IoError> {
-    let data = read_file(path)?;
-    let mut reader = ImageReader::new(Cursor::new(&data))
+/// A picture in memory as it is stored, and how its EXIF data wants it turned.
+fn decode(data: &[u8], path: &Path) -> Result<(DynamicImage, Orientation), IoError> {
+    let mut reader = ImageReader::new(Cursor::new(data))
         .with_guessed_format()
         .map_err(|e| IoError::access(path, e))?;
     let format = reader.format();
-    if !is_whole(&data, format) {
+    if !is_whole(data, format) {
         let what = "the end of the picture is missing";
         return Err(IoError::truncated(path, what));
     }
@@ -100,7 +99,7 @@ fn decode_upright(
     expected: Option<Size>,
     notes: &mut Vec<String>,
 ) -> Result<DynamicImage, IoError> {
-    let (mut picture, orientation) = decode(path)?;
+    let (mut picture, orientation) = decode(&read_file(path)?, path)?;
     if orientation == Orientation::NoTransforms {
         return Ok(picture);
     }
@@ -252,6 +251,24 @@ pub(crate) fn read_depth_png(
             path,
             format!(
                 "a depth PNG must be 16-bit grey, this is {:?}",
+                other.color()
+            ),
+        )),
+    }
+}
+
+/// The raw numbers of an 8-bit grey PNG in memory, as segmentations have them, and its size. `path` says in messages where it
+/// is from.
+pub(crate) fn parse_labels(data: &[u8], path: &Path) -> Result<(Size, Vec<u8>), IoError> {
+    match decode(data, path)? {
+        (DynamicImage::ImageLuma8(picture), _) => {
+            let size = (picture.width() as usize, picture.height() as usize);
+            Ok((size, picture.into_raw()))
+        }
+        (other, _) => Err(IoError::malformed(
+            path,
+            format!(
+                "numbers of instances must be 8-bit grey, this is {:?}",
                 other.color()
             ),
         )),

@@ -97,7 +97,15 @@ impl Picture {
 pub(crate) struct PlannedFrame {
     pub(crate) view: PlannedView,
     pub(crate) depth: Option<DepthFile>,
-    pub(crate) mask: Option<PathBuf>,
+    pub(crate) mask: Option<MaskFile>,
+}
+
+/// Where a frame's mask is.
+pub(crate) enum MaskFile {
+    /// A picture.
+    File(PathBuf),
+    /// Already read, from an archive: 1 where something moves.
+    Loaded { mask: Map, archive: PathBuf },
 }
 
 /// Where a frame's depth is.

@@ -18,6 +18,15 @@ pub(crate) fn camera_at(center: DVec3, world_from_cam: DMat3) -> DAffine3 {
     DAffine3::from_mat3_translation(cam_from_world, -(cam_from_world * center))
 }
 
+/// The inverse of a camera's pose, world from camera, [4, 4] row-major. None where that is no rigid transform.
+pub(crate) fn cam_from_world(pose: &[f32]) -> Option<DAffine3> {
+    let at = |row: usize, column: usize| f64::from(pose[4 * row + column]);
+    let column = |c: usize| DVec3::new(at(0, c), at(1, c), at(2, c));
+    let rotation = nearest_rotation(DMat3::from_cols(column(0), column(1), column(2)))?;
+    let center = column(3);
+    center.is_finite().then(|| camera_at(center, rotation))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

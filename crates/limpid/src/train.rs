@@ -14,7 +14,7 @@ use crate::report;
 use crate::say::{conclude, say};
 use crate::shell::quoted;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
-use crate::watch::{Watch, WatchArguments};
+use crate::watch::{Listening, Watch, WatchArguments};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -128,6 +128,7 @@ struct Started {
 pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     // From the beginning: the signal ends a program that does not know it.
     let save = SaveRequest::listen()?;
+    let watch = arguments.watch.listen()?;
     let mut started = if arguments.resume {
         arguments.go_on()?
     } else {
@@ -139,7 +140,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     if started.config.run.backend.is_cpu() {
         memory::warn(&started.trainer, started.config.run.factor());
     }
-    let ended = started.train(&save, arguments.watch);
+    let ended = started.train(&save, watch);
     ended.map_err(|error| {
         let error = with_causes(&*error);
         format!("{error}; {}", started.checkpoints.account()).into()
@@ -148,7 +149,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
 
 impl Started {
     /// Trains, and writes what comes of it.
-    fn train(&mut self, save: &SaveRequest, watch: WatchArguments) -> Result<ExitCode, Failure> {
+    fn train(&mut self, save: &SaveRequest, watch: Option<Listening>) -> Result<ExitCode, Failure> {
         let Self {
             out,
             config,
@@ -158,7 +159,10 @@ impl Started {
         } = self;
         let stop = Stop::listen()?;
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
-        let mut watch = Watch::start(watch, (trainer, config), out)?;
+        let mut watch = match watch {
+            Some(listening) => Some(Watch::start(listening, (trainer, config), out)?),
+            None => None,
+        };
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
         let mut forecast = Forecast::new(trainer, memory::expected(trainer, config));
         while !trainer.is_done() && !stop.is_asked() {

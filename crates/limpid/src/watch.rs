@@ -42,6 +42,30 @@ fn seconds(text: &str) -> Result<Duration, String> {
     Duration::try_from_secs_f64(seconds).map_err(|problem| problem.to_string())
 }
 
+impl WatchArguments {
+    /// Takes the port, if a run is to be watched: before anything is loaded or replaced, so that one that is taken is told at once.
+    pub(crate) fn listen(self) -> Result<Option<Listening>, Failure> {
+        let Some(every) = self.watch else {
+            return Ok(None);
+        };
+        let held: Arc<Held> = Arc::default();
+        let server = Server::of_memory(Arc::clone(&held), self.port)
+            .map_err(|e| format!("{e}: 127.0.0.1, port {}", self.port))?;
+        Ok(Some(Listening {
+            server,
+            held,
+            every,
+        }))
+    }
+}
+
+/// A port that a run will be watched at.
+pub(crate) struct Listening {
+    server: Server,
+    held: Arc<Held>,
+    every: Duration,
+}
+
 /// A run that is watched.
 pub(crate) struct Watch {
     held: Arc<Held>,
@@ -55,17 +79,19 @@ pub(crate) struct Watch {
 }
 
 impl Watch {
-    /// Serves the run in a folder from now on, if that is asked for.
+    /// Serves the run in a folder from now on.
     pub(crate) fn start(
-        arguments: WatchArguments,
+        listening: Listening,
         (trainer, config): (&Trainer, &Config),
         out: &Path,
-    ) -> Result<Option<Self>, Failure> {
-        let Some(every) = arguments.watch else {
-            return Ok(None);
-        };
+    ) -> Result<Self, Failure> {
+        let Listening {
+            server,
+            held,
+            every,
+        } = listening;
         let mut watch = Self {
-            held: Arc::default(),
+            held,
             out: out.to_owned(),
             every,
             last: Instant::now(),
@@ -73,11 +99,9 @@ impl Watch {
             pause: every,
         };
         watch.take(trainer, config)?;
-        let server = Server::of_memory(watch.held.clone(), arguments.port)
-            .map_err(|e| format!("{e}: 127.0.0.1, port {}", arguments.port))?;
         conclude!("watch it at http://{}/", server.address());
         std::thread::spawn(|| server.run());
-        Ok(Some(watch))
+        Ok(watch)
     }
 
     /// Takes a snapshot where one is due and somebody looks. One that fails is said, and training goes on.

@@ -458,3 +458,16 @@ fn a_scene_is_checked_by_itself_and_before_it_is_trained_on() -> Outcome {
     assert!(forced.status.success(), "{}", text(&forced.stderr));
     Ok(())
 }
+
+#[test]
+fn a_port_that_is_taken_is_told_before_a_scene_is_looked_for() -> Outcome {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0")?;
+    let port = taken.local_addr()?.port().to_string();
+    let watched = ["train", "--scene", "/nowhere", "--watch", "--port"];
+    let refused = limpid(&watched).arg(&port).output()?;
+    let said = text(&refused.stderr);
+    assert!(!refused.status.success(), "{said}");
+    assert!(said.contains(&format!("port {port}")), "{said}");
+    assert!(!said.contains("nowhere"), "{said}");
+    Ok(())
+}

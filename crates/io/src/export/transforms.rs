@@ -40,7 +40,8 @@ pub fn write_transforms(
             })
         })
         .collect();
-    let mut transforms = json!({ "camera_model": "PINHOLE", "frames": frames });
+    // No camera model is a pinhole to all readers; Brush refuses nerfstudio's name for it.
+    let mut transforms = json!({ "frames": frames });
     if let Some(points) = points {
         transforms["ply_file_path"] = json!(points);
     }

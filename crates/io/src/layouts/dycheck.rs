@@ -27,7 +27,9 @@ use crate::camera_model::{Distortion, Lens};
 use crate::colmap::{Model, find_model, read_model};
 use crate::folder::{PICTURES, list, stem_of};
 use crate::json::read_json;
-use crate::plan::{DepthFile, Layout, Picture, Plan, PlannedFrame, PlannedView, time_between};
+use crate::plan::{
+    DepthFile, Layout, MaskFile, Picture, Plan, PlannedFrame, PlannedView, time_between,
+};
 use crate::rotation::{camera_at, nearest_rotation};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
@@ -136,7 +138,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
                     DepthFile::Depth { path, scale: 1.0 }
                 }
             }),
-            mask: masks.get(name).cloned(),
+            mask: masks.get(name).cloned().map(MaskFile::File),
         });
     }
     let instants: Vec<_> = training.iter().map(|&(time, _)| f64::from(time)).collect();

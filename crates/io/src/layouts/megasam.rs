@@ -12,15 +12,14 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec3};
 use splat_core::Camera;
 
 use crate::camera_model::Lens;
 use crate::error::list_names;
 use crate::folder::{PICTURES, list};
 use crate::npy::{Array, read_npz};
-use crate::plan::{DepthFile, Layout, Picture, Plan, PlannedFrame, PlannedView};
-use crate::rotation::{camera_at, nearest_rotation};
+use crate::plan::{DepthFile, Layout, MaskFile, Picture, Plan, PlannedFrame, PlannedView};
+use crate::rotation::cam_from_world;
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions, Map};
@@ -105,7 +104,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
                 depth,
                 archive: path.clone(),
             }),
-            mask: masks.get(name).cloned(),
+            mask: masks.get(name).cloned().map(MaskFile::File),
         });
     }
     Ok(Plan {
@@ -167,13 +166,4 @@ impl Archive<'_> {
         );
         IoError::malformed(self.path, what)
     }
-}
-
-/// Of world from camera, [4, 4].
-fn cam_from_world(pose: &[f32]) -> Option<glam::DAffine3> {
-    let at = |row: usize, column: usize| f64::from(pose[4 * row + column]);
-    let column = |c: usize| DVec3::new(at(0, c), at(1, c), at(2, c));
-    let rotation = nearest_rotation(DMat3::from_cols(column(0), column(1), column(2)))?;
-    let center = column(3);
-    center.is_finite().then(|| camera_at(center, rotation))
 }

@@ -23,7 +23,7 @@ use transforms::{Entry, Transforms};
 
 use crate::error::list_names;
 use crate::folder::{natural_order, stem_of};
-use crate::plan::{DepthFile, Layout, Plan, PlannedFrame, time_between};
+use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, time_between};
 use crate::ply::read_points;
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
@@ -60,7 +60,10 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         frames.push(PlannedFrame {
             view: transforms.view(root, entry, name, i as f32)?,
             depth: depth.map(|path| DepthFile::Depth { path, scale }),
-            mask: entry.mask_path.as_ref().map(|file| root.join(file)),
+            mask: entry
+                .mask_path
+                .as_ref()
+                .map(|file| MaskFile::File(root.join(file))),
         });
     }
     let mut views = Vec::with_capacity(test.len());

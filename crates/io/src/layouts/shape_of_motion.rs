@@ -19,7 +19,7 @@ use pairing::pair;
 
 use crate::colmap::{find_model, read_model};
 use crate::folder::{Listing, PICTURES, list};
-use crate::plan::{DepthFile, Layout, Plan, PlannedFrame};
+use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
@@ -68,7 +68,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         frames.push(PlannedFrame {
             view: model.view(posed(pairing.training[i]), name, image, i as f32)?,
             depth: depth.as_ref().map(|d| DepthFile::Disparity(d[i].clone())),
-            mask: masks.as_ref().map(|m| m[i].clone()),
+            mask: masks.as_ref().map(|m| MaskFile::File(m[i].clone())),
         });
     }
     let mut test = Vec::new();

@@ -88,6 +88,9 @@ fn transforms_are_the_data_set_that_they_were() {
         Some("points.ply"),
     )
     .unwrap();
+    // Readers agree that no model is a pinhole, and on no name for it.
+    let json = std::fs::read_to_string(folder.path().join("transforms.json")).unwrap();
+    assert!(!json.contains("camera_model"), "{json}");
     let scene = Scene::open(folder.path()).unwrap();
     assert_eq!(
         (scene.layout, scene.frames.len(), scene.test.len()),

@@ -3,34 +3,13 @@
 
 use std::path::Path;
 
-use glam::{DMat3, DVec3};
-use io::{IoError, LoadOptions, Scene};
+use glam::DMat3;
+use io::{IoError, Scene};
 use tempfile::TempDir;
 
-use crate::make::{self, FRAMES, HEIGHT, WIDTH, colmap_binary, names, npy, pose};
-
-/// Twice the pictures' size, as the focal length of 1280x720 stands for pictures of 512x288.
-const OF_CAMERAS: [f64; 3] = [2.0 * HEIGHT as f64, 2.0 * WIDTH as f64, 2.0 * make::FOCAL];
-
-/// LLFF's rows: the axes down, right and back of each camera, its centre, and height, width, focal length.
-fn poses_bounds(cameras: usize) -> Vec<u8> {
-    let row = |number: usize| {
-        let (rotation, translation) = pose(number);
-        let world_from_cam = DMat3::from_quat(rotation).transpose();
-        let center = -(world_from_cam * translation);
-        let columns = [
-            world_from_cam.y_axis,
-            world_from_cam.x_axis,
-            -world_from_cam.z_axis,
-            center,
-            DVec3::from_array(OF_CAMERAS),
-        ];
-        let rows = (0..3).flat_map(move |r| columns.map(|column| column[r] as f32));
-        rows.chain([1.0, 10.0]).collect::<Vec<f32>>()
-    };
-    let values: Vec<f32> = (0..cameras).flat_map(row).collect();
-    npy(&[cameras, 17], &values)
-}
+use crate::make::{
+    self, FRAMES, HEIGHT, WIDTH, colmap_binary, names, npy, pose, poses_bounds, without_movers,
+};
 
 /// DyBluRF's own files.
 fn dyblurf() -> TempDir {
@@ -81,14 +60,6 @@ fn mobgs() -> TempDir {
         r#"{"scale": 1.0, "center": [0, 0, 0]}"#,
     );
     folder
-}
-
-fn without_movers(root: &Path) -> Result<Scene, IoError> {
-    let options = LoadOptions {
-        static_scene: true,
-        ..LoadOptions::default()
-    };
-    Scene::open_with(root, &options)
 }
 
 #[test]

@@ -5,6 +5,7 @@
 )]
 
 mod broken;
+mod d2rf;
 mod distorted;
 mod dyblurf;
 mod dycheck;
@@ -14,3 +15,4 @@ mod megasam;
 mod nerfstudio;
 mod real;
 mod shape_of_motion;
+mod vipe;

@@ -5,6 +5,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
+use io::{IoError, LoadOptions, Scene};
 use tempfile::TempDir;
 
 pub(crate) const WIDTH: usize = 16;
@@ -12,19 +13,23 @@ pub(crate) const HEIGHT: usize = 12;
 pub(crate) const FRAMES: usize = 3;
 pub(crate) const FOCAL: f64 = 20.0;
 
-/// `.npy` of f32.
-pub(crate) fn npy(shape: &[usize], values: &[f32]) -> Vec<u8> {
+/// `.npy` of numbers of NumPy's type `kind`.
+pub(crate) fn array(kind: &str, shape: &[usize], bytes: &[u8]) -> Vec<u8> {
     let sides: Vec<_> = shape.iter().map(|s| format!("{s},")).collect();
-    let dict = format!(
-        "{{'descr': '<f4', 'fortran_order': False, 'shape': ({}), }}",
-        sides.concat()
-    );
+    let sides = sides.concat();
+    let dict = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({sides}), }}");
     let header = format!("{dict:<117}\n");
     let mut data = b"\x93NUMPY\x01\x00".to_vec();
     data.extend((header.len() as u16).to_le_bytes());
     data.extend(header.as_bytes());
-    data.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    data.extend(bytes);
     data
+}
+
+/// `.npy` of f32.
+pub(crate) fn npy(shape: &[usize], values: &[f32]) -> Vec<u8> {
+    let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+    array("<f4", shape, &bytes)
 }
 
 pub(crate) fn write(path: &Path, data: impl AsRef<[u8]>) {
@@ -72,6 +77,38 @@ pub(crate) fn pose(number: usize) -> (DQuat, DVec3) {
     let quat = DQuat::from_rotation_y(0.05 * (number / 2) as f64);
     let center = DVec3::new(0.3 * (number % 2) as f64, 0.1 * (number / 2) as f64, 0.0);
     (quat, -(DMat3::from_quat(quat) * center))
+}
+
+/// Twice the pictures' size, as the focal length of 1280x720 stands for pictures of 512x288.
+const OF_CAMERAS: [f64; 3] = [2.0 * HEIGHT as f64, 2.0 * WIDTH as f64, 2.0 * FOCAL];
+
+/// `poses_bounds.npy` with LLFF's rows: the axes down, right and back of each camera, its centre, and height, width, focal length.
+pub(crate) fn poses_bounds(cameras: usize) -> Vec<u8> {
+    let row = |number: usize| {
+        let (rotation, translation) = pose(number);
+        let world_from_cam = DMat3::from_quat(rotation).transpose();
+        let center = -(world_from_cam * translation);
+        let columns = [
+            world_from_cam.y_axis,
+            world_from_cam.x_axis,
+            -world_from_cam.z_axis,
+            center,
+            DVec3::from_array(OF_CAMERAS),
+        ];
+        let rows = (0..3).flat_map(move |r| columns.map(|column| column[r] as f32));
+        rows.chain([1.0, 10.0]).collect::<Vec<f32>>()
+    };
+    let values: Vec<f32> = (0..cameras).flat_map(row).collect();
+    npy(&[cameras, 17], &values)
+}
+
+/// The scene with its movers ignored.
+pub(crate) fn without_movers(root: &Path) -> Result<Scene, IoError> {
+    let options = LoadOptions {
+        static_scene: true,
+        ..LoadOptions::default()
+    };
+    Scene::open_with(root, &options)
 }
 
 /// Points of the model, in front of the cameras.

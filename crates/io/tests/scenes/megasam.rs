@@ -8,19 +8,7 @@ use glam::{DMat3, DVec3};
 use io::{IoError, Scene};
 use tempfile::TempDir;
 
-use crate::make::{self, FRAMES, HEIGHT, WIDTH, npy};
-
-/// An array of this type's name in NumPy.
-fn array(kind: &str, shape: &[usize], bytes: &[u8]) -> Vec<u8> {
-    let sides: Vec<_> = shape.iter().map(|s| format!("{s},")).collect();
-    let sides = sides.concat();
-    let header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({sides}), }}\n");
-    let mut data = b"\x93NUMPY\x01\x00".to_vec();
-    data.extend((header.len() as u16).to_le_bytes());
-    data.extend(header.as_bytes());
-    data.extend(bytes);
-    data
-}
+use crate::make::{self, FRAMES, HEIGHT, WIDTH, array, npy};
 
 /// Camera i stands at (0.1 i, 0.2, -1) and is turned by 0.1 i about y.
 fn rotation(frame: usize) -> DMat3 {

@@ -4,11 +4,13 @@
 
 EXPORT holds `--format canonical,ply,ply-sequence,spz,transforms,colmap,glb --at FRAME` and, where the bases allow, `--format glb`
 as scene.glb. Needs numpy, plyfile and pillow; with pygltflib, pycolmap, and splat-transform and gltf-validator in NODE_MODULES
-it reads more, and says what it left out ("skipped: …"). Fails with an AssertionError at the first thing that is not as it should be.
+it reads more, and with viewers there and Chromium (`chromium`, or LIMPID_CHROMIUM) it looks (view_exports.mjs). It says what it left
+out ("skipped: …"). Fails with an AssertionError at the first thing that is not as it should be.
 """
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -180,4 +182,14 @@ if told is not None:
     if has("pygltflib"):
         theirs = splats.Glb(path("theirs.glb"))
         compare(f"{tool}: its own glTF of our PLY", theirs.scene(), still, exact)
+
+# Viewers.
+chromium = os.environ.get("LIMPID_CHROMIUM") or shutil.which("chromium")
+if NODE_MODULES and chromium:
+    script = os.path.join(os.path.dirname(os.path.abspath(__file__)), "view_exports.mjs")
+    run = subprocess.run(["node", script, FOLDER, str(FRAME), NODE_MODULES, chromium], capture_output=True, text=True)
+    print(run.stdout, end="")
+    assert run.returncode == 0, run.stdout + run.stderr
+else:
+    print(f"skipped: exports in viewers: {'Chromium' if NODE_MODULES else 'node_modules'} is not there")
 print("exports: all as they should be")
