@@ -12,7 +12,6 @@ pub mod iteration;
 pub mod machine;
 pub mod net;
 pub mod pairs;
-pub mod perturb;
 pub mod report;
 pub mod spans;
 pub mod workload;

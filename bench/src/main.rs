@@ -11,7 +11,6 @@ use limpid_bench::growth::{sweeps, time_point};
 use limpid_bench::iteration::{Breakdown, breakdown, time_steps, time_workload};
 use limpid_bench::machine::Machine;
 use limpid_bench::net::time_net;
-use limpid_bench::perturb::perturb;
 use limpid_bench::report::Report;
 use limpid_bench::spans::Stages;
 use limpid_bench::workload::{Blur, Workload};
@@ -107,19 +106,6 @@ enum Command {
         #[arg(long, default_value = "out/bench")]
         out: PathBuf,
     },
-    /// Copies a scene and turns its training cameras at random, to measure what refining poses gives.
-    Perturb {
-        /// The scene, in the layout of Shape-of-Motion.
-        scene: PathBuf,
-        /// Where the copy goes.
-        out: PathBuf,
-        /// By how much, px of the scene's own pictures (root mean square).
-        #[arg(long)]
-        px: f64,
-        /// Seed of the turns.
-        #[arg(long, default_value_t = 1)]
-        seed: u64,
-    },
 }
 
 fn main() -> ExitCode {
@@ -133,12 +119,6 @@ fn main() -> ExitCode {
             frozen,
             ndarray,
         }) => net([*width, *height], *repeats, *frozen, *ndarray),
-        Some(Command::Perturb {
-            scene,
-            out,
-            px,
-            seed,
-        }) => perturb(scene, out, *px, *seed),
         Some(Command::Curves { out }) => all_curves(out),
         Some(Command::Launches {
             width,

@@ -93,8 +93,8 @@ fn expected_loss(iterations: usize) -> &'static str {
             "a loss of up to 0.5 dB against 10,000 iterations is expected, and none where motion blurs the frames"
         }
         1500.. => "a loss of up to 2 dB against 3,000 iterations is expected",
-        1000.. => "a loss of 2 to 5 dB against 3,000 iterations is expected",
-        500.. => "a loss of 3 to 7 dB against 3,000 iterations is expected",
+        1000.. => "a loss of 1 to 5 dB against 3,000 iterations is expected",
+        500.. => "a loss of 2 to 7 dB against 3,000 iterations is expected",
         _ => "a loss of 5 to 10 dB against 3,000 iterations is expected",
     }
 }
