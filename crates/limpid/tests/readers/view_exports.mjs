@@ -240,7 +240,8 @@ async function browse(url) {
     close: async () => {
       child.kill();
       await new Promise((done) => child.once("exit", done));
-      rmSync(profile, { recursive: true, force: true });
+      // Its own children may still be writing.
+      rmSync(profile, { recursive: true, force: true, maxRetries: 20, retryDelay: 100 });
     },
   };
 }
