@@ -1,4 +1,4 @@
-//! A run whose length was chosen by trying is the run of that length, bit for bit.
+//! A run whose length was chosen by trying is the run of that length, bit for bit; and pixels that are held back to choose one.
 
 use burn::tensor::Device;
 use limpid_tests::{tiny, values};
@@ -66,4 +66,61 @@ fn the_course_of_another_length_is_that_of_such_a_run() {
             );
         }
     }
+}
+
+/// A trainer on frames whose pixels are negatives of themselves where `held` says so.
+fn with_negatives(settings: &Settings, held: impl Fn(usize, usize) -> bool) -> Trainer {
+    let mut scene = tiny::scene();
+    for (index, frame) in scene.frames.iter_mut().enumerate() {
+        let pixels = frame.view.image.pixels.chunks_exact_mut(3).enumerate();
+        for (_, pixel) in pixels.filter(|(at, _)| held(index, *at)) {
+            pixel.iter_mut().for_each(|value| *value = 1.0 - *value);
+        }
+    }
+    Trainer::new(scene, settings.clone(), &Device::flex()).expect("a trainer")
+}
+
+#[test]
+fn pixels_that_are_held_back_teach_nothing() {
+    for blur in [BlurKind::Off, BlurKind::Kernels, BlurKind::Camera] {
+        let mut settings = settings(blur, 2000);
+        settings.frames.held_back = 0.1;
+        let trained = trainer(settings.clone());
+        let learned = |frame, at: usize| trained.learned_pixels(frame).expect("some")[at];
+        let other = with_negatives(&settings, |frame, at| !learned(frame, at));
+        let opposite = with_negatives(&settings, learned);
+        let terms = |trainer: &Trainer, frame| -> Vec<(&str, Vec<f64>)> {
+            let model = trained.model();
+            let terms = trainer.loss_terms(model, model, 1900, frame);
+            let terms = terms.expect("terms").into_iter();
+            terms.map(|(name, term)| (name, values(term))).collect()
+        };
+        for frame in 0..tiny::FRAMES {
+            let held = (0..tiny::WIDTH * tiny::HEIGHT).filter(|at| !learned(frame, *at));
+            let share = held.count() as f64 / (tiny::WIDTH * tiny::HEIGHT) as f64;
+            assert!((share - 0.1).abs() < 0.01, "{share} is held back");
+            let here = terms(&trained, frame);
+            assert!(here == terms(&other, frame), "{blur:?}: other terms");
+            assert!(
+                here != terms(&opposite, frame),
+                "{blur:?}: frames do not matter"
+            );
+        }
+    }
+}
+
+#[test]
+fn how_well_held_back_pixels_are_explained_grows_with_training() {
+    let mut settings = settings(BlurKind::Off, 300);
+    assert_eq!(
+        trainer(settings.clone()).held_back_psnr().expect("none"),
+        None
+    );
+    settings.frames.held_back = 0.1;
+    let mut trainer = trainer(settings);
+    let psnr = |trainer: &Trainer| trainer.held_back_psnr().expect("a score").expect("some");
+    let before = psnr(&trainer);
+    steps(&mut trainer, 150);
+    let after = psnr(&trainer);
+    assert!(after > before + 1.0, "{before} dB and {after} dB");
 }

@@ -11,6 +11,7 @@ mod eval;
 mod export;
 mod failure;
 mod keys;
+mod lengths;
 mod lock;
 mod log;
 mod memory;

@@ -5,6 +5,7 @@ use crate::check;
 use crate::checkpoints::{self, Checkpoints};
 use crate::config::{self, Backend, CONFIG_FILE, Config, Distortion};
 use crate::failure::{Failure, with_causes};
+use crate::lengths::{HELD_BACK, Lengths};
 use crate::lock::Lock;
 use crate::log::Log;
 use crate::memory;
@@ -37,6 +38,10 @@ pub(crate) struct TrainArguments {
     /// Train as many iterations as fit into so many minutes on this machine, start and end included; no more than otherwise.
     #[arg(long, value_name = "M", value_parser = minutes, conflicts_with = "resume")]
     minutes: Option<f64>,
+    /// Train in runs that double in length, from 750 iterations to the number given, until one gains hardly anything on pixels
+    /// that are held back (`frames.held_back`, 0.03 of each frame): takes about twice as long as its last run.
+    #[arg(long, conflicts_with_all = ["minutes", "resume"])]
+    until_done: bool,
     /// Make pictures smaller by this factor.
     #[arg(long, value_name = "F")]
     downscale: Option<usize>,
@@ -122,6 +127,8 @@ struct Started {
     config: Config,
     trainer: Trainer,
     checkpoints: Checkpoints,
+    /// Where the run is trained in several lengths.
+    lengths: Option<Lengths>,
     _lock: Lock,
 }
 
@@ -150,19 +157,82 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
 impl Started {
     /// Trains, and writes what comes of it.
     fn train(&mut self, save: &SaveRequest, watch: Option<Listening>) -> Result<ExitCode, Failure> {
+        let stop = Stop::listen()?;
+        let mut watch = match watch {
+            Some(listening) => Some(Watch::start(
+                listening,
+                (&self.trainer, &self.config),
+                &self.out,
+            )?),
+            None => None,
+        };
+        loop {
+            self.iterate(&stop, save, watch.as_mut())?;
+            if stop.is_asked() || !self.trainer.is_done() || !self.begins_again()? {
+                break;
+            }
+        }
+        let Self {
+            out,
+            config,
+            trainer,
+            ..
+        } = self;
+        if !trainer.is_done() {
+            conclude!(
+                "stopped after iteration {} of {}; to go on:\n  {}",
+                trainer.iteration(),
+                trainer.settings().iterations,
+                to_go_on(out)
+            );
+            return Ok(ExitCode::from(INTERRUPTED));
+        }
+        let evaluation = during("rendering and scoring", || {
+            outputs::write_all(trainer, config, out)
+        })?;
+        if let Some(watch) = watch {
+            watch.end();
+        }
+        conclude!("{}", outputs::summary(&evaluation));
+        conclude!(
+            "{:.0} s of training; results in {}; {} shows them",
+            trainer.run().seconds(),
+            out.display(),
+            out.join(report::FILE).display()
+        );
+        Ok(ExitCode::SUCCESS)
+    }
+
+    /// Makes of a run that is done one of twice the length, where that is asked for and pays. Says whether it did.
+    fn begins_again(&mut self) -> Result<bool, Failure> {
+        let Some(lengths) = &mut self.lengths else {
+            return Ok(false);
+        };
+        let (said, again) = lengths.next(&mut self.trainer)?;
+        say!("{said}");
+        if again {
+            self.config.settings.iterations = self.trainer.settings().iterations;
+            io::write_json(&self.out.join(CONFIG_FILE), &self.config)?;
+            self.checkpoints = Checkpoints::new(&self.out, self.trainer.settings(), None);
+        }
+        Ok(again)
+    }
+
+    /// Trains until all iterations are done or it is asked to stop, and saves.
+    fn iterate(
+        &mut self,
+        stop: &Stop,
+        save: &SaveRequest,
+        mut watch: Option<&mut Watch>,
+    ) -> Result<(), Failure> {
         let Self {
             out,
             config,
             trainer,
             checkpoints,
-            _lock,
+            ..
         } = self;
-        let stop = Stop::listen()?;
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
-        let mut watch = match watch {
-            Some(listening) => Some(Watch::start(listening, (trainer, config), out)?),
-            None => None,
-        };
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
         let mut forecast = Forecast::new(trainer, memory::expected(trainer, config));
         while !trainer.is_done() && !stop.is_asked() {
@@ -197,29 +267,7 @@ impl Started {
         progress.finish();
         checkpoints.save(trainer)?;
         stop.saved();
-        if !trainer.is_done() {
-            conclude!(
-                "stopped after iteration {} of {}; to go on:\n  {}",
-                trainer.iteration(),
-                trainer.settings().iterations,
-                to_go_on(out)
-            );
-            return Ok(ExitCode::from(INTERRUPTED));
-        }
-        let evaluation = during("rendering and scoring", || {
-            outputs::write_all(trainer, config, out)
-        })?;
-        if let Some(watch) = watch {
-            watch.end();
-        }
-        conclude!("{}", outputs::summary(&evaluation));
-        conclude!(
-            "{:.0} s of training; results in {}; {} shows them",
-            trainer.run().seconds(),
-            out.display(),
-            out.join(report::FILE).display()
-        );
-        Ok(ExitCode::SUCCESS)
+        Ok(())
     }
 }
 
@@ -232,6 +280,9 @@ impl TrainArguments {
             None => Settings::default(),
         };
         let mut config = config::from_table(self.table()?, &Config::of(defaults))?;
+        if self.until_done && config.settings.frames.held_back == 0.0 {
+            config.settings.frames.held_back = HELD_BACK;
+        }
         // An absolute path, so that the run can be repeated from anywhere.
         if let Some(scene) = &mut config.run.scene {
             *scene = absolute(scene)?;
@@ -257,8 +308,13 @@ impl TrainArguments {
                 budget::fit(&mut trainer, minutes, began)
             })?;
             lines.iter().for_each(|line| say!("{line}"));
-            config.settings.iterations = trainer.settings().iterations;
         }
+        let lengths = if self.until_done {
+            Some(Lengths::begin(&mut trainer)?)
+        } else {
+            None
+        };
+        config.settings.iterations = trainer.settings().iterations;
         std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
         let lock = match early {
             Some(lock) => lock,
@@ -274,6 +330,7 @@ impl TrainArguments {
             out,
             config,
             trainer,
+            lengths,
             _lock: lock,
         })
     }
@@ -335,6 +392,7 @@ impl TrainArguments {
             config,
             trainer,
             checkpoints,
+            lengths: None,
             _lock: lock,
         })
     }

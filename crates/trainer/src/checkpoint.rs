@@ -261,10 +261,10 @@ fn header(bytes: &[u8]) -> Result<Header, CheckpointProblem> {
     let (_, metadata) = SafeTensors::read_metadata(bytes)?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get("limpid"));
     let text = text.ok_or(CheckpointProblem::Foreign)?;
-    let format = serde_json::from_str::<serde_json::Value>(text)
-        .ok()
-        .and_then(|v| v.get("format").cloned());
-    let found = match format {
+    // Every version writes JSON.
+    let values: serde_json::Value =
+        serde_json::from_str(text).map_err(|_| CheckpointProblem::Damaged)?;
+    let found = match values.get("format") {
         None => "no format".to_owned(),
         Some(number) if number.is_u64() => format!("format {number}"),
         Some(_) => "a format that is no number".to_owned(),

@@ -3,6 +3,7 @@
 use crate::TrainError;
 use crate::blur::BlurModel;
 use crate::corrections::Corrections;
+use crate::metrics::decibel;
 use crate::model::Model;
 use crate::plan::schedule_of;
 use crate::run::Run;
@@ -74,6 +75,35 @@ impl Trainer {
             blurred_from: moments.first().copied(),
             trials: moments.iter().copied().filter(is_trial).collect(),
         })
+    }
+
+    /// Which pixels of a training frame are learned from, [H, W]; `None` where all are (`frames.held_back`).
+    #[must_use]
+    pub fn learned_pixels(&self, frame: usize) -> Option<&[bool]> {
+        self.data.learned.get(frame).map(Vec::as_slice)
+    }
+
+    /// How well the model explains the pixels of the training frames that are held back (`frames.held_back`): PSNR over all of
+    /// them, dB; `None` where there are none.
+    ///
+    /// # Errors
+    /// The renderer refuses its input.
+    pub fn held_back_psnr(&self) -> Result<Option<f64>, TrainError> {
+        let (mut sum, mut count) = (0.0, 0_usize);
+        for (frame, learned) in self.data.learned.iter().enumerate() {
+            let seen = self.run.render_training_view(frame)?.seen;
+            let taken = &self.data.scene.frames[frame].view.image;
+            let pixels = seen
+                .pixels
+                .chunks_exact(3)
+                .zip(taken.pixels.chunks_exact(3));
+            for ((seen, taken), _) in pixels.zip(learned).filter(|(_, learned)| !**learned) {
+                let off = |(a, b): (&f32, &f32)| (f64::from(*a) - f64::from(*b)).powi(2);
+                sum += seen.iter().zip(taken).map(off).sum::<f64>();
+                count += 3;
+            }
+        }
+        Ok((count > 0).then(|| decibel(sum, count)))
     }
 
     fn settings_of(&self, iterations: usize) -> Settings {

@@ -50,6 +50,7 @@ mod error;
 mod gpu;
 mod grouping;
 mod guarded;
+mod held;
 mod inputs;
 mod length;
 mod lifting;

@@ -76,18 +76,6 @@ impl<T> Shown<T> {
         }
     }
 
-    /// What the camera saw. Holes take the picture itself, so that windows over them carry no false loss.
-    pub(crate) fn target(&self, view: &ViewRef<'_>) -> Tensor<3> {
-        let target = view.image(&self.seen);
-        match view.holes(&self.seen.device()) {
-            Some(holes) => {
-                let shape = target.dims();
-                target.mask_where(holes.expand(shape), self.seen.clone().detach())
-            }
-            None => target,
-        }
-    }
-
     /// The same with something else kept.
     pub(crate) fn map<U>(self, keep: impl FnOnce(T) -> U) -> Shown<U> {
         Shown {

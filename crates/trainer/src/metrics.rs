@@ -130,7 +130,8 @@ fn squared(a: f32, b: f32) -> f64 {
     difference * difference
 }
 
-fn decibel(sum: f64, samples: usize) -> f64 {
+/// PSNR of a sum of squared differences.
+pub(crate) fn decibel(sum: f64, samples: usize) -> f64 {
     (-10.0 * (sum / samples as f64).log10()).min(LARGEST_PSNR)
 }
 

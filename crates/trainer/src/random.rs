@@ -24,6 +24,8 @@ pub(crate) enum Purpose {
     Motion = 8,
     /// Weights of the blur model.
     BlurModel = 9,
+    /// Pixels that are held back; indexed by frame.
+    HeldBack = 10,
 }
 
 /// The generator of a purpose at an index.

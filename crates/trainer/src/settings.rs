@@ -213,6 +213,8 @@ pub struct FrameSettings {
     pub offsets: bool,
     /// When each frame has a gain of its own, for auto-exposure: by default where the survey finds that frames differ.
     pub gains: When,
+    /// Share of every training frame's blocks that training is not shown, to tell how well it does there; 0 for none.
+    pub held_back: f64,
 }
 
 /// Unseen views.

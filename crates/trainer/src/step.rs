@@ -70,7 +70,7 @@ impl Trainer {
         } = &self.run;
         let model = &state.model;
         let view = self.next_view(it);
-        let (frame, unseen) = (view.frame, view.is_unseen());
+        let (frame, unseen) = (view.frame, view.is_unseen);
         let name = view.viewpoint.name.clone();
 
         let gathers = plan.schedule.gathers_density(it);
@@ -81,7 +81,7 @@ impl Trainer {
             ..self.run.look_at(&view, it)
         };
         let shown = model.show(&look, None)?;
-        let target = shown.target(&view);
+        let target = view.target(&shown.seen);
         let error =
             trace_span!("psnr").in_scope(|| SquaredError::of(&shown.seen, &target, view.valid));
         let objective = Objective {
@@ -209,7 +209,7 @@ impl Trainer {
         };
         let terms = || -> Result<_, TrainError> {
             let shown = model.show(&self.run.look_at(view, it), None)?;
-            Ok(objective.terms(&shown, &shown, shown.target(view)).0)
+            Ok(objective.terms(&shown, &shown, view.target(&shown.seen)).0)
         };
         for index in 0..=terms()?.len() {
             // Each pass back uses its graph up.

@@ -7,6 +7,7 @@ use crate::corrections::Corrections;
 use crate::coverage::fill;
 use crate::dynamics::start_dynamics;
 use crate::error::{CheckpointProblem, OtherScene, SceneProblem};
+use crate::held::learned_pixels;
 use crate::inputs::Inputs;
 use crate::lifting::liftable;
 use crate::model::Model;
@@ -48,16 +49,24 @@ pub(crate) struct Data {
     pub(crate) unseen: Vec<UnseenView>,
     /// z-depth of the sparse points in every training frame, 0 where there is none, [H, W]; `None` with too few of them.
     pub(crate) points: Vec<Option<Vec<f32>>>,
+    /// Which pixels of every training frame are learned from, [H, W]; empty where all are.
+    pub(crate) learned: Vec<Vec<bool>>,
     sent: Vec<Sent>,
 }
 
 impl Data {
-    fn new(scene: Scene, unseen: Vec<UnseenView>, device: &Device) -> Self {
+    fn new(
+        scene: Scene,
+        unseen: Vec<UnseenView>,
+        learned: Vec<Vec<bool>>,
+        device: &Device,
+    ) -> Self {
         let frames = scene.frames.iter();
         let points = frames.map(|frame| point_depths(frame, &scene.points));
         let pixels = scene.frames.iter().map(|f| f.view.camera.num_pixels());
         Self {
             points: points.collect(),
+            learned,
             sent: Sent::to(device, scene.frames.len(), pixels.max().unwrap_or(0)),
             scene,
             unseen,
@@ -68,6 +77,7 @@ impl Data {
     pub(crate) fn training_view<'a>(&'a self, views: &'a Views, frame: usize) -> ViewRef<'a> {
         let mut view = ViewRef::training(views, &self.scene, frame);
         view.points = self.points[frame].as_deref();
+        view.valid = self.learned.get(frame).map(Vec::as_slice);
         view.sent = self.sent.get(frame);
         view
     }
@@ -164,7 +174,8 @@ impl Trainer {
         };
         let decided = survey.decided(&settings);
         survey.notes.extend(decided);
-        let unseen = unseen_views(&scene, &views, &settings, &model.blur, size)?;
+        let learned = learned(&scene, &settings);
+        let unseen = unseen_views(&scene, &views, &settings, &model.blur, size, &learned)?;
         if !unseen.is_empty() {
             survey.notes.push(format!("{} unseen views", unseen.len()));
         }
@@ -177,7 +188,7 @@ impl Trainer {
             views,
         };
         let state = State::new(model);
-        let data = Data::new(scene, unseen, &device);
+        let data = Data::new(scene, unseen, learned, &device);
         Ok(Self {
             run: Run {
                 plan,
@@ -204,18 +215,20 @@ impl Trainer {
         }
         run.plan.views.test = run.plan.views_of(&scene).test;
         let plan = &run.plan;
+        let learned = learned(&scene, &plan.settings);
         let unseen = unseen_views(
             &scene,
             &plan.views,
             &plan.settings,
             &run.state.model.blur,
             trained,
+            &learned,
         )?;
         if plan.schedule.unseen_from.is_some() == unseen.is_empty() {
             let found = unseen.len();
             return Err(OtherScene::UnseenViews { found }.into());
         }
-        let data = Data::new(scene, unseen, &run.device);
+        let data = Data::new(scene, unseen, learned, &run.device);
         Ok(Self { run, data })
     }
 
@@ -376,7 +389,7 @@ impl Trainer {
             world: &model.world,
             view: &view,
         };
-        Ok(objective.terms(&shown, &fixed, shown.target(&view)).0)
+        Ok(objective.terms(&shown, &fixed, view.target(&shown.seen)).0)
     }
 
     /// The view that iteration `it` learns from: every epoch shows each training frame once, in an order of its own, and so for
@@ -394,6 +407,18 @@ impl Trainer {
             self.data.training_view(&plan.views, frame)
         }
     }
+}
+
+/// See [`Data::learned`].
+fn learned(scene: &Scene, settings: &Settings) -> Vec<Vec<bool>> {
+    let share = settings.frames.held_back;
+    if share == 0.0 {
+        return Vec::new();
+    }
+    let cameras = scene.frames.iter().map(|f| &f.view.camera).enumerate();
+    cameras
+        .map(|(frame, c)| learned_pixels([c.width, c.height], share, settings.seed, frame))
+        .collect()
 }
 
 /// The `count`-th draw without replacement from n, refilled when empty.

@@ -8,18 +8,20 @@ use crate::settings::Settings;
 use crate::views::{CameraView, UnseenView, Views};
 use io::Scene;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use unseen_views::{Source, WarpOptions, parallel_pose, perpendicular_pose, warp};
 
 /// All unseen views of a scene: between neighbouring frames, warped from both, and to both sides of
 /// the path at a random distance in [0.5, 1] of `offset` times S. Views with too few valid pixels are dropped.
 ///
-/// They depend on scene, settings and seed alone.
+/// They depend on scene, settings and seed alone. Pixels that are not `learned` from (see `Data::learned`) are not warped.
 pub(crate) fn unseen_views(
     scene: &Scene,
     views: &Views,
     settings: &Settings,
     blur: &BlurModel,
     scene_size: f64,
+    learned: &[Vec<bool>],
 ) -> Result<Vec<UnseenView>, TrainError> {
     let required = !matches!(blur, BlurModel::Camera(_) | BlurModel::Both(_));
     if !settings.unseen.when.holds(required) {
@@ -54,13 +56,20 @@ pub(crate) fn unseen_views(
             let Some(depth) = &source.depth else {
                 return Ok(None);
             };
+            let depth = match learned.get(frame) {
+                Some(learned) => {
+                    let pixels = depth.values.iter().zip(learned);
+                    Cow::Owned(pixels.map(|(z, l)| if *l { *z } else { 0.0 }).collect())
+                }
+                None => Cow::Borrowed(&depth.values),
+            };
             let from = &views.train[frame];
             let camera = &from.camera;
             let source = Source {
                 camera,
                 cam_from_world: &from.cam_from_world,
                 color: &source.view.image.pixels,
-                depth: &depth.values,
+                depth: &depth,
                 mask: source.mask.as_ref().map(|m| m.values.as_slice()),
             };
             let view = warp(&source, camera, &cam_from_world, &options).map_err(|source| {

@@ -136,6 +136,8 @@ pub(crate) struct ViewRef<'a> {
     pub(crate) sent: Option<&'a Sent>,
     /// Pixels that have a target, [H, W]; `None` where all have one.
     pub(crate) valid: Option<&'a [bool]>,
+    /// Whether the view was warped and not filmed.
+    pub(crate) is_unseen: bool,
 }
 
 impl<'a> ViewRef<'a> {
@@ -150,6 +152,7 @@ impl<'a> ViewRef<'a> {
             mask: source.mask.as_ref().map(|m| m.values.as_slice()),
             sent: None,
             valid: None,
+            is_unseen: false,
         }
     }
 
@@ -163,12 +166,8 @@ impl<'a> ViewRef<'a> {
             mask: view.mask.as_deref(),
             sent: None,
             valid: Some(&view.valid),
+            is_unseen: true,
         }
-    }
-
-    /// Whether the view was warped and not filmed.
-    pub(crate) fn is_unseen(&self) -> bool {
-        self.valid.is_some()
     }
 
     pub(crate) fn center(&self) -> DVec3 {
@@ -180,6 +179,18 @@ impl<'a> ViewRef<'a> {
         let [height, width] = self.shape();
         let kept = self.sent.map(|sent| &sent.image);
         on_device(kept, like, [height, width, 3], || self.image.to_vec())
+    }
+
+    /// What a picture of it is compared with. Holes take the picture itself, so that windows over them carry no false loss.
+    pub(crate) fn target(&self, seen: &Tensor<3>) -> Tensor<3> {
+        let target = self.image(seen);
+        match self.holes(&seen.device()) {
+            Some(holes) => {
+                let shape = target.dims();
+                target.mask_where(holes.expand(shape), seen.clone().detach())
+            }
+            None => target,
+        }
     }
 
     /// The given depth, [H, W], likewise.

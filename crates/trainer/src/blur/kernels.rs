@@ -223,9 +223,9 @@ impl Kernels {
             return terms;
         };
         let (it, blur) = (look.iteration, &trace.composite);
-        if it > self.moments.downsample_from && !view.is_unseen() {
+        if it > self.moments.downsample_from && !view.is_unseen {
             terms.add("downsample", self.weights.downsample, || {
-                let target = view.image(&rendered.color());
+                let target = view.target(&rendered.color());
                 losses::downsample_loss(rendered.color(), target, 4)
             });
         }
@@ -240,7 +240,7 @@ impl Kernels {
                 losses::intensity_penalty(blur.intensity())
             });
         }
-        if view.is_unseen() || self.weights.gauge == 0.0 {
+        if view.is_unseen || self.weights.gauge == 0.0 {
             return terms;
         }
         let [rows, columns] = self.gauge.cells;

@@ -71,6 +71,11 @@ impl Settings {
             "gaussians.mask_margin",
             "0 to 256 (pixels of a picture 256 wide)",
         );
+        check(
+            (0.0..=0.2).contains(&self.frames.held_back),
+            "frames.held_back",
+            "0 to 0.2",
+        );
         let k = self.blur.kernel_size;
         check(k % 2 == 1 && k <= 15, "blur.kernel_size", "odd, 1 to 15");
         check(

@@ -317,7 +317,7 @@ impl CameraBlur {
             self.exposed(world, look, view.frame, splats, &taken)?.color
         };
         let seen = look.gained(seen);
-        let difference = (seen.clone() - view.image(&seen)).square().mean();
+        let difference = (seen.clone() - view.target(&seen)).square().mean();
         Ok(f64::from(host(difference)[0]))
     }
 }
