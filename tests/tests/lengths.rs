@@ -50,6 +50,27 @@ fn what_was_tried_leaves_no_trace() {
 }
 
 #[test]
+fn a_run_that_was_kept_goes_on_with_the_same_bits() {
+    for blur in [BlurKind::Camera, BlurKind::Both] {
+        let mut kept = trainer(settings(blur, 250));
+        let start = kept.start();
+        steps(&mut kept, 90);
+        let run = kept.keep();
+        kept.begin_again(&start, 300).expect("begun again");
+        steps(&mut kept, 70);
+        kept.go_back(run);
+        assert_eq!((kept.iteration(), kept.settings().iterations), (90, 250));
+
+        let mut plain = trainer(settings(blur, 250));
+        steps(&mut plain, 90);
+        assert!(
+            steps(&mut kept, 60) == steps(&mut plain, 60),
+            "{blur:?}: other bits"
+        );
+    }
+}
+
+#[test]
 fn the_course_of_another_length_is_that_of_such_a_run() {
     for blur in [BlurKind::Off, BlurKind::Kernels, BlurKind::Camera] {
         let other = trainer(settings(blur, 200));

@@ -2,7 +2,7 @@
 //! one before, which had half as many iterations.
 
 use crate::failure::Failure;
-use trainer::{Start, Trainer};
+use trainer::{Kept, Start, Trainer};
 
 /// Iterations of the first run.
 const FIRST: usize = 750;
@@ -15,8 +15,27 @@ pub(crate) const HELD_BACK: f64 = 0.03;
 pub(crate) struct Lengths {
     start: Start,
     most: usize,
-    /// What the run before came to, dB.
-    last: Option<f64>,
+    /// The run before.
+    before: Option<Ended>,
+}
+
+/// A run that has ended.
+struct Ended {
+    run: Kept,
+    /// Of pixels that are held back, dB.
+    psnr: f64,
+    /// Its log.
+    log: Vec<u8>,
+}
+
+/// What comes of a run that has ended.
+pub(crate) enum Next {
+    /// It stays.
+    Done,
+    /// One of twice the length has begun.
+    Longer,
+    /// The trainer has gone back to the one before, whose log this is.
+    Before(Vec<u8>),
 }
 
 impl Lengths {
@@ -27,31 +46,45 @@ impl Lengths {
         Ok(Self {
             start,
             most,
-            last: None,
+            before: None,
         })
     }
 
-    /// Begins the next run where the one that has ended gained enough, and says what it came to, and whether there is a next.
-    pub(crate) fn next(&mut self, trainer: &mut Trainer) -> Result<(String, bool), Failure> {
+    /// Begins the next run where the one that has ended gained enough, and goes back to the one before where it lost; with what
+    /// there is to say. `log` is the log of the one that has ended.
+    pub(crate) fn next(
+        &mut self,
+        trainer: &mut Trainer,
+        log: Vec<u8>,
+    ) -> Result<(String, Next), Failure> {
         let (iterations, seconds) = (trainer.iteration(), trainer.run().seconds());
         let psnr = trainer.held_back_psnr()?.unwrap_or(f64::NAN);
-        let gained = self.last.map(|last| psnr - last);
-        self.last = Some(psnr);
-        let next = (2 * iterations).min(self.most);
-        let came = format!("{iterations} iterations: {psnr:.2} dB of pixels that are held back");
-        let came = match gained {
-            Some(gained) => format!("{came}, {gained:+.2} dB by twice the length"),
-            None => came,
-        };
-        if gained.is_some_and(|gained| gained < GAIN) || next <= iterations {
-            return Ok((format!("{came}: done"), false));
+        let mut said =
+            format!("{iterations} iterations: {psnr:.2} dB of pixels that are held back");
+        if let Some(before) = self.before.take() {
+            let gained = psnr - before.psnr;
+            said += &format!(", {gained:+.2} dB by twice the length");
+            if gained < 0.0 {
+                trainer.go_back(before.run);
+                said += &format!(": back to {}", trainer.iteration());
+                return Ok((said, Next::Before(before.log)));
+            }
+            if gained < GAIN {
+                return Ok((said + ": done", Next::Done));
+            }
         }
+        let next = (2 * iterations).min(self.most);
+        if next <= iterations {
+            return Ok((said + ": done", Next::Done));
+        }
+        let run = trainer.keep();
+        self.before = Some(Ended { run, psnr, log });
         trainer.begin_again(&self.start, next)?;
         // What was trained before took its time too.
         trainer.count_seconds(seconds);
         Ok((
-            format!("{came}: {next} iterations, from the beginning"),
-            true,
+            format!("{said}: {next} iterations, from the beginning"),
+            Next::Longer,
         ))
     }
 }

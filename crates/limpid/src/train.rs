@@ -5,9 +5,9 @@ use crate::check;
 use crate::checkpoints::{self, Checkpoints};
 use crate::config::{self, Backend, CONFIG_FILE, Config, Distortion};
 use crate::failure::{Failure, with_causes};
-use crate::lengths::{HELD_BACK, Lengths};
+use crate::lengths::{HELD_BACK, Lengths, Next};
 use crate::lock::Lock;
-use crate::log::Log;
+use crate::log::{LOG_FILE, Log};
 use crate::memory;
 use crate::outputs;
 use crate::progress::{Progress, during};
@@ -39,7 +39,7 @@ pub(crate) struct TrainArguments {
     #[arg(long, value_name = "M", value_parser = minutes, conflicts_with = "resume")]
     minutes: Option<f64>,
     /// Train in runs that double in length, from 750 iterations to the number given, until one gains hardly anything on pixels
-    /// that are held back (`frames.held_back`, 0.03 of each frame): takes about twice as long as its last run.
+    /// that are held back (`frames.held_back`, 0.03 of each frame): takes two to four times as long as the one that it keeps.
     #[arg(long, conflicts_with_all = ["minutes", "resume"])]
     until_done: bool,
     /// Make pictures smaller by this factor.
@@ -208,14 +208,24 @@ impl Started {
         let Some(lengths) = &mut self.lengths else {
             return Ok(false);
         };
-        let (said, again) = lengths.next(&mut self.trainer)?;
+        let log_file = self.out.join(LOG_FILE);
+        let log = std::fs::read(&log_file).map_err(|e| format!("{e}: {}", log_file.display()))?;
+        let (said, next) = lengths.next(&mut self.trainer, log)?;
         say!("{said}");
-        if again {
-            self.config.settings.iterations = self.trainer.settings().iterations;
-            io::write_json(&self.out.join(CONFIG_FILE), &self.config)?;
-            self.checkpoints = Checkpoints::new(&self.out, self.trainer.settings(), None);
+        self.config.settings.iterations = self.trainer.settings().iterations;
+        io::write_json(&self.out.join(CONFIG_FILE), &self.config)?;
+        match next {
+            Next::Done => Ok(false),
+            Next::Longer => {
+                self.checkpoints = Checkpoints::new(&self.out, self.trainer.settings(), None);
+                Ok(true)
+            }
+            Next::Before(log) => {
+                io::write_atomic(&log_file, |file| file.write_all(&log))?;
+                self.checkpoints.save(&self.trainer)?;
+                Ok(false)
+            }
         }
-        Ok(again)
     }
 
     /// Trains until all iterations are done or it is asked to stop, and saves.

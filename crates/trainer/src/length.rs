@@ -5,7 +5,7 @@ use crate::blur::BlurModel;
 use crate::corrections::Corrections;
 use crate::metrics::decibel;
 use crate::model::Model;
-use crate::plan::schedule_of;
+use crate::plan::{Plan, schedule_of};
 use crate::run::Run;
 use crate::settings::{LEAST_ITERATIONS, Settings};
 use crate::state::State;
@@ -16,6 +16,13 @@ use burn::tensor::DType;
 /// What a run begins with, whatever its length.
 #[derive(Clone, Debug)]
 pub struct Start(World);
+
+/// A run as it was at some moment.
+#[derive(Clone, Debug)]
+pub struct Kept {
+    plan: Plan,
+    state: State,
+}
 
 /// When the costly parts of a run come.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -61,6 +68,23 @@ impl Trainer {
         plan.settings = settings;
         *state = State::new(model);
         Ok(())
+    }
+
+    /// The run as it is, to [go back](Self::go_back) to from another length.
+    #[must_use]
+    pub fn keep(&self) -> Kept {
+        let Run { plan, state, .. } = &self.run;
+        Kept {
+            plan: plan.clone(),
+            state: state.clone(),
+        }
+    }
+
+    /// Goes back to this trainer's run as it was.
+    pub fn go_back(&mut self, kept: Kept) {
+        let Kept { plan, state } = kept;
+        self.run.plan = plan;
+        self.run.state = state;
     }
 
     /// The course of a run of so many iterations on this scene.

@@ -100,7 +100,7 @@ pub use corrections::{Corrections, FrameCorrection};
 pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError, with_causes};
 pub use glam;
 pub use gpu::{Gpu, MemoryUse, NoGpu};
-pub use length::{Course, Start};
+pub use length::{Course, Kept, Start};
 pub use lifting::Liftable;
 pub use memory::MemoryNeed;
 pub use model::Model;

@@ -5,7 +5,7 @@ use crate::model::Model;
 use crate::optimizer::Optimizer;
 
 /// The state between two iterations.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct State {
     pub(crate) model: Model,
     pub(crate) optimizer: Optimizer,

@@ -238,9 +238,11 @@ async function browse(url) {
     evaluate: async (expression) => (await send("Runtime.evaluate", { expression, awaitPromise: true, returnByValue: true })).result.value,
     screenshot: async () => (await send("Page.captureScreenshot")).data,
     close: async () => {
-      child.kill();
-      await new Promise((done) => child.once("exit", done));
-      // Its own children may still be writing.
+      // Of itself it waits for its children, which write to the folder too; killed it does not.
+      const exit = new Promise((done) => child.once("exit", done));
+      sessionId = undefined;
+      send("Browser.close");
+      await exit;
       rmSync(profile, { recursive: true, force: true, maxRetries: 20, retryDelay: 100 });
     },
   };
