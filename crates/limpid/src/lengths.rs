@@ -58,7 +58,9 @@ impl Lengths {
         log: Vec<u8>,
     ) -> Result<(String, Next), Failure> {
         let (iterations, seconds) = (trainer.iteration(), trainer.run().seconds());
-        let psnr = trainer.held_back_psnr()?.unwrap_or(f64::NAN);
+        let psnr = trainer
+            .held_back_psnr()?
+            .ok_or("no pixels are held back: frames.held_back is 0")?;
         let mut said =
             format!("{iterations} iterations: {psnr:.2} dB of pixels that are held back");
         if let Some(before) = self.before.take() {
@@ -66,6 +68,7 @@ impl Lengths {
             said += &format!(", {gained:+.2} dB by twice the length");
             if gained < 0.0 {
                 trainer.go_back(before.run);
+                trainer.count_seconds(seconds - trainer.run().seconds());
                 said += &format!(": back to {}", trainer.iteration());
                 return Ok((said, Next::Before(before.log)));
             }

@@ -1,17 +1,26 @@
 //! Pixels that are held back from training, to tell how well it does on what it was not shown.
 
 use crate::random::{Purpose, generator, sample};
+use crate::settings::Settings;
+use io::Scene;
 
 /// Side of a block, px of a picture 256 wide.
 const SIDE: f64 = 8.0;
 
+/// Which pixels of every frame are learned from; empty where none is held back.
+pub(crate) fn learned(scene: &Scene, settings: &Settings) -> Vec<Vec<bool>> {
+    let share = settings.frames.held_back;
+    if share == 0.0 {
+        return Vec::new();
+    }
+    let cameras = scene.frames.iter().map(|f| &f.view.camera).enumerate();
+    cameras
+        .map(|(frame, c)| learned_pixels([c.width, c.height], share, settings.seed, frame))
+        .collect()
+}
+
 /// Which pixels of a frame are learned from, [H, W]: all but those in `share` of its blocks, at least one, drawn by seed and frame.
-pub(crate) fn learned_pixels(
-    [width, height]: [usize; 2],
-    share: f64,
-    seed: u64,
-    frame: usize,
-) -> Vec<bool> {
+fn learned_pixels([width, height]: [usize; 2], share: f64, seed: u64, frame: usize) -> Vec<bool> {
     let side = ((SIDE * width as f64 / 256.0).round() as usize).max(2);
     let (across, down) = (width.div_ceil(side), height.div_ceil(side));
     let count = ((share * (across * down) as f64).round() as usize).max(1);

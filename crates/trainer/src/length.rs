@@ -3,7 +3,7 @@
 use crate::TrainError;
 use crate::blur::BlurModel;
 use crate::corrections::Corrections;
-use crate::metrics::decibel;
+use crate::metrics::{decibel, masked_error};
 use crate::model::Model;
 use crate::plan::{Plan, schedule_of};
 use crate::run::Run;
@@ -117,15 +117,10 @@ impl Trainer {
         for (frame, learned) in self.data.learned.iter().enumerate() {
             let seen = self.run.render_training_view(frame)?.seen;
             let taken = &self.data.scene.frames[frame].view.image;
-            let pixels = seen
-                .pixels
-                .chunks_exact(3)
-                .zip(taken.pixels.chunks_exact(3));
-            for ((seen, taken), _) in pixels.zip(learned).filter(|(_, learned)| !**learned) {
-                let off = |(a, b): (&f32, &f32)| (f64::from(*a) - f64::from(*b)).powi(2);
-                sum += seen.iter().zip(taken).map(off).sum::<f64>();
-                count += 3;
-            }
+            let held: Vec<bool> = learned.iter().map(|learned| !learned).collect();
+            let (error, samples) = masked_error(&seen.pixels, &taken.pixels, &held);
+            sum += error;
+            count += samples;
         }
         Ok((count > 0).then(|| decibel(sum, count)))
     }

@@ -33,15 +33,18 @@ pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
 pub fn masked_psnr(a: &[f32], b: &[f32], mask: &[bool]) -> Option<f64> {
     assert_eq!(a.len(), b.len(), "two pictures of one size");
     assert_eq!(a.len(), mask.len() * 3, "a mask has one entry per pixel");
-    let mut sum = 0.0;
-    let mut pixels = 0;
-    for (pixel, _) in mask.iter().enumerate().filter(|(_, set)| **set) {
-        sum += (3 * pixel..3 * pixel + 3)
-            .map(|k| squared(a[k], b[k]))
-            .sum::<f64>();
-        pixels += 1;
-    }
-    (pixels > 0).then(|| decibel(sum, pixels * 3))
+    let (sum, samples) = masked_error(a, b, mask);
+    (samples > 0).then(|| decibel(sum, samples))
+}
+
+/// Sum of squared differences over the pixels [H, W] of two pictures [H, W, 3] where `mask` is set, and their samples.
+pub(crate) fn masked_error(a: &[f32], b: &[f32], mask: &[bool]) -> (f64, usize) {
+    let pixels = a.chunks_exact(3).zip(b.chunks_exact(3)).zip(mask);
+    let set = pixels.filter(|(_, set)| **set);
+    set.fold((0.0, 0), |(sum, samples), ((a, b), _)| {
+        let error: f64 = a.iter().zip(b).map(|(a, b)| squared(*a, *b)).sum();
+        (sum + error, samples + 3)
+    })
 }
 
 /// PSNR in dB of two pictures [H, W, 3] as they are, over the `valid` pixels [H, W]; `None` means all. Not a number where no

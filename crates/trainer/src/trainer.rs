@@ -7,7 +7,7 @@ use crate::corrections::Corrections;
 use crate::coverage::fill;
 use crate::dynamics::start_dynamics;
 use crate::error::{CheckpointProblem, OtherScene, SceneProblem};
-use crate::held::learned_pixels;
+use crate::held::learned;
 use crate::inputs::Inputs;
 use crate::lifting::liftable;
 use crate::model::Model;
@@ -407,18 +407,6 @@ impl Trainer {
             self.data.training_view(&plan.views, frame)
         }
     }
-}
-
-/// See [`Data::learned`].
-fn learned(scene: &Scene, settings: &Settings) -> Vec<Vec<bool>> {
-    let share = settings.frames.held_back;
-    if share == 0.0 {
-        return Vec::new();
-    }
-    let cameras = scene.frames.iter().map(|f| &f.view.camera).enumerate();
-    cameras
-        .map(|(frame, c)| learned_pixels([c.width, c.height], share, settings.seed, frame))
-        .collect()
 }
 
 /// The `count`-th draw without replacement from n, refilled when empty.

@@ -1,0 +1,125 @@
+//! The length of a run, chosen by the program: `--minutes`, as long as fits, and `--until-done`, until twice the length gains no more.
+
+use serde_json::Value;
+use std::error::Error;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+use std::time::Instant;
+
+const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+
+fn train(out: &Path, args: &[&str]) -> Result<Output, Box<dyn Error>> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_limpid"));
+    command.args(["train", "--scene", DEMO, "--downscale", "5"]);
+    Ok(command.args(args).arg("--out").arg(out).output()?)
+}
+
+/// The settings in a run's configuration.
+fn settings(out: &Path) -> Result<Value, Box<dyn Error>> {
+    let mut config: Value = serde_json::from_slice(&fs::read(out.join("config.json"))?)?;
+    Ok(config["settings"].take())
+}
+
+/// The iterations in a run's configuration.
+fn length(out: &Path) -> Result<u64, Box<dyn Error>> {
+    Ok(settings(out)?["iterations"].as_u64().ok_or("a number")?)
+}
+
+/// A run's configuration makes the same run again, as long as it and with the same bits.
+fn assert_repeats(out: &Path) -> Result<(), Box<dyn Error>> {
+    let again = tempfile::tempdir()?;
+    let config = out.join("config.json");
+    let run = train(again.path(), &["--config", config.to_str().ok_or("UTF-8")?])?;
+    assert!(run.status.success());
+    assert_eq!(length(again.path())?, length(out)?);
+    assert!(
+        fs::read(out.join("scene.ply"))? == fs::read(again.path().join("scene.ply"))?,
+        "the same bits"
+    );
+    Ok(())
+}
+
+#[test]
+fn as_many_iterations_as_fit_and_the_run_can_be_repeated() -> Result<(), Box<dyn Error>> {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    let began = Instant::now();
+    let run = train(&out, &["--minutes", "0.2"])?;
+    let took = began.elapsed().as_secs_f64();
+    let said = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert!(run.status.success(), "{said}");
+    let chosen = length(&out)?;
+    assert!(
+        said.contains(&format!("{chosen} iterations in the place of 40000")),
+        "{said}"
+    );
+    assert!(said.contains("is expected"), "{said}");
+    assert!((200..40_000).contains(&chosen), "{chosen}");
+    // The length is kept, not the time, and a machine that others use may become slower on the way: by this much it does not.
+    assert!(chosen == 200 || took < 180.0, "{took} s in the place of 12");
+    assert_repeats(&out)
+}
+
+#[test]
+fn a_time_that_is_too_short_is_said_and_no_time_is_refused() -> Result<(), Box<dyn Error>> {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    for wrong in ["0", "-1", "inf", "soon"] {
+        let refused = train(&out, &["--minutes", wrong])?;
+        assert_eq!(refused.status.code(), Some(2), "{wrong}");
+        assert!(!out.exists(), "{wrong}");
+    }
+    let run = train(&out, &["--minutes", "0.001"])?;
+    let said = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert!(run.status.success(), "{said}");
+    assert_eq!(length(&out)?, 200);
+    assert!(
+        said.contains("no run is shorter than 200 iterations"),
+        "{said}"
+    );
+    assert!(said.contains("expects about"), "{said}");
+    let resumed = train(&out, &["--resume", "--minutes", "1"])?;
+    assert_eq!(resumed.status.code(), Some(2), "they exclude each other");
+    Ok(())
+}
+
+#[test]
+fn lengths_double_up_to_the_most_and_the_last_run_can_be_repeated() -> Result<(), Box<dyn Error>> {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    let run = train(&out, &["--until-done", "--iterations", "800"])?;
+    let said = String::from_utf8_lossy(&run.stderr).into_owned();
+    assert!(run.status.success(), "{said}");
+    for told in [
+        "750 iterations: ",
+        "800 iterations, from the beginning",
+        "800 iterations: ",
+        ": done",
+    ] {
+        assert!(said.contains(told), "{told}: {said}");
+    }
+    assert_eq!(length(&out)?, 800);
+    assert_eq!(settings(&out)?["frames"]["held_back"], 0.03);
+    let log = fs::read_to_string(out.join("metrics.jsonl"))?;
+    let iterations = log.lines().map(|line| -> Result<u64, Box<dyn Error>> {
+        let line: Value = serde_json::from_str(line)?;
+        Ok(line["iteration"].as_u64().ok_or("a number")?)
+    });
+    let iterations = iterations.collect::<Result<Vec<_>, _>>()?;
+    assert!(
+        iterations.is_sorted(),
+        "of the last run alone: {iterations:?}"
+    );
+    assert_repeats(&out)
+}
+
+#[test]
+fn until_done_is_no_way_to_go_on_and_knows_no_time() -> Result<(), Box<dyn Error>> {
+    let folder = tempfile::tempdir()?;
+    for other in [&["--minutes", "1"][..], &["--resume"]] {
+        let run = train(folder.path(), &[&["--until-done"], other].concat())?;
+        assert_eq!(run.status.code(), Some(2), "{other:?}");
+    }
+    Ok(())
+}
