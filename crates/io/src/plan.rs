@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use glam::DAffine3;
 
 use crate::camera_model::Lens;
+use crate::folder::{Listing, PICTURES, list};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions, Map, SparsePoint};
@@ -116,6 +117,15 @@ pub(crate) enum DepthFile {
     Depth { path: PathBuf, scale: f64 },
     /// Already read, from an archive, in scene units.
     Loaded { depth: Map, archive: PathBuf },
+}
+
+/// The masks in a folder, or none where the scene is said to be static.
+pub(crate) fn list_masks(folder: &Path, options: &LoadOptions) -> Result<Listing, IoError> {
+    if options.static_scene {
+        Ok(Listing::default())
+    } else {
+        list(folder, PICTURES)
+    }
 }
 
 /// The time, in training frames, of an instant among the training frames' own (ascending), clamped to

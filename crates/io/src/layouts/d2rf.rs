@@ -19,7 +19,7 @@ use std::path::Path;
 
 use super::stereo::{CENTERED, Cameras, points, sharp_frames};
 use crate::folder::{Listing, PICTURES, list};
-use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame};
+use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, list_masks};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
@@ -56,18 +56,14 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         );
     }
     let masks_at = root.join("motion_masks");
-    let masks = if options.static_scene {
-        Listing::default()
-    } else {
-        list(&masks_at, PICTURES)?
-    };
+    let masks = list_masks(&masks_at, options)?.files;
     let mut frames = Vec::with_capacity(instants.len());
     for (i, [left, _]) in instants.iter().enumerate() {
         let image = images.files[left].clone();
         frames.push(PlannedFrame {
             view: cameras.view(2 * i, left, image, i as f32)?,
             depth: depth.get(left).cloned().map(DepthFile::Disparity),
-            mask: masks.files.get(left).cloned().map(MaskFile::File),
+            mask: masks.get(left).cloned().map(MaskFile::File),
         });
     }
 

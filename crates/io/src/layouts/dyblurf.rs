@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use super::stereo::{CENTERED, Cameras, points, sharp_frames};
 use crate::folder::{Listing, PICTURES, list};
-use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame};
+use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, list_masks};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
@@ -57,11 +57,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     let masks = ["motion_masks_manual", "motion_masks"].map(|name| root.join(name));
     let masks_at = masks.iter().find(|folder| folder.is_dir());
     let masks_at = masks_at.unwrap_or(&masks[1]).clone();
-    let masks = if options.static_scene {
-        Listing::default()
-    } else {
-        list(&masks_at, PICTURES)?
-    };
+    let masks = list_masks(&masks_at, options)?.files;
 
     let mut frames = Vec::with_capacity(stems.len());
     for (i, name) in stems.iter().enumerate() {
@@ -69,7 +65,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         frames.push(PlannedFrame {
             view: cameras.view(2 * i, name, images.files[name].clone(), i as f32)?,
             depth: depth.map(|path| DepthFile::Depth { path, scale: 1.0 }),
-            mask: masks.files.get(name).cloned().map(MaskFile::File),
+            mask: masks.get(name).cloned().map(MaskFile::File),
         });
     }
     let test_at = root.join("inference_images");

@@ -16,7 +16,6 @@
 //!
 //! Of the sizes in `rgb/` the largest pictures are read, and what has sizes is looked for at that one.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
@@ -28,7 +27,7 @@ use crate::colmap::{Model, find_model, read_model};
 use crate::folder::{PICTURES, list, stem_of};
 use crate::json::read_json;
 use crate::plan::{
-    DepthFile, Layout, MaskFile, Picture, Plan, PlannedFrame, PlannedView, time_between,
+    DepthFile, Layout, MaskFile, Picture, Plan, PlannedFrame, PlannedView, list_masks, time_between,
 };
 use crate::rotation::{camera_at, nearest_rotation};
 use crate::scene::TruthFolders;
@@ -113,11 +112,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     notes.push(note.to_owned());
     let depth = list(&depth_at, &["npy"])?.files;
     let masks_at = preprocessed.join("track_anything").join(&size);
-    let masks = if options.static_scene {
-        BTreeMap::new()
-    } else {
-        list(&masks_at, PICTURES)?.files
-    };
+    let masks = list_masks(&masks_at, options)?.files;
 
     let view = |name: &str, time: f32| -> Result<PlannedView, IoError> {
         let image = root.join("rgb").join(&size).join(format!("{name}.png"));

@@ -16,9 +16,11 @@ use splat_core::Camera;
 
 use crate::camera_model::Lens;
 use crate::error::list_names;
-use crate::folder::{PICTURES, list};
+use crate::folder::list;
 use crate::npy::{Array, read_npz};
-use crate::plan::{DepthFile, Layout, MaskFile, Picture, Plan, PlannedFrame, PlannedView};
+use crate::plan::{
+    DepthFile, Layout, MaskFile, Picture, Plan, PlannedFrame, PlannedView, list_masks,
+};
 use crate::rotation::cam_from_world;
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
@@ -68,11 +70,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
 
     let names: Vec<_> = (0..count).map(|i| format!("{i:05}")).collect();
     let masks_at = root.join("masks");
-    let masks = if options.static_scene {
-        BTreeMap::new()
-    } else {
-        list(&masks_at, PICTURES)?.files
-    };
+    let masks = list_masks(&masks_at, options)?.files;
     let pixels = width * height;
     let parts = images.values.chunks_exact(3 * pixels);
     let parts = parts.zip(depths.values.chunks_exact(pixels));

@@ -19,7 +19,7 @@ use pairing::pair;
 
 use crate::colmap::{find_model, read_model};
 use crate::folder::{Listing, PICTURES, list};
-use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame};
+use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, list_masks};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
@@ -55,11 +55,8 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     let depth = list(&depth_at, &["npy"])?;
     let depth = optional(&depth, &stems, &depth_at, "disparity of")?;
     let masks_at = root.join("masks");
-    let masks = if options.static_scene {
-        None
-    } else {
-        optional(&list(&masks_at, PICTURES)?, &stems, &masks_at, "masks of")?
-    };
+    let masks = list_masks(&masks_at, options)?;
+    let masks = optional(&masks, &stems, &masks_at, "masks of")?;
 
     let posed = |at: usize| &model.images[at];
     let mut frames = Vec::with_capacity(stems.len());
