@@ -17,10 +17,9 @@
 
 use std::path::Path;
 
-use super::stereo::{CENTERED, Cameras, points, sharp_frames};
+use super::stereo::{CENTERED, Cameras, points, truth};
 use crate::folder::{Listing, PICTURES, list};
 use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, list_masks};
-use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
 
@@ -78,12 +77,8 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
             test.push(cameras.view(2 * i + 1, right, image, i as f32)?);
         }
     }
-    let mut truth = TruthFolders::of(root);
-    if let Some(sharp) = sharp_frames(root, "images", &frames, &mut notes)? {
-        truth.sharp = sharp;
-    }
     Ok(Plan {
-        truth,
+        truth: truth(root, "images", &frames, &mut notes)?,
         frames,
         test,
         points: points(root)?,

@@ -19,10 +19,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::stereo::{CENTERED, Cameras, points, sharp_frames};
+use super::stereo::{CENTERED, Cameras, points, truth};
 use crate::folder::{Listing, PICTURES, list};
 use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, list_masks};
-use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
 
@@ -79,12 +78,8 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         test.push(cameras.view(2 * i + 1, name, image, i.min(last) as f32)?);
     }
     notes.push(CENTERED.into());
-    let mut truth = TruthFolders::of(root);
-    if let Some(sharp) = sharp_frames(root, "sharp_images", &frames, &mut notes)? {
-        truth.sharp = sharp;
-    }
     Ok(Plan {
-        truth,
+        truth: truth(root, "sharp_images", &frames, &mut notes)?,
         frames,
         test,
         points: points(root)?,

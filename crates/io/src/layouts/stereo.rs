@@ -13,6 +13,7 @@ use crate::npy::read_npy;
 use crate::picture::read_size;
 use crate::plan::{Picture, PlannedFrame, PlannedView};
 use crate::rotation::{camera_at, nearest_rotation};
+use crate::scene::TruthFolders;
 use crate::{IoError, SparsePoint};
 
 /// A note on what [`Cameras`] supposes.
@@ -109,17 +110,19 @@ pub(super) fn points(root: &Path) -> Result<Vec<SparsePoint>, IoError> {
     }
 }
 
-/// The folder `name` where it has a sharp picture for each frame, of the frame's size.
-pub(super) fn sharp_frames(
+/// The folders of truth. Of the frames it is the folder `name`, where that has a sharp picture for each, of the frame's size;
+/// else what `truth/` has, as in any layout.
+pub(super) fn truth(
     root: &Path,
     name: &str,
     frames: &[PlannedFrame],
     notes: &mut Vec<String>,
-) -> Result<Option<PathBuf>, IoError> {
+) -> Result<TruthFolders, IoError> {
+    let mut truth = TruthFolders::of(root);
     let folder = root.join(name);
     let sharp = list(&folder, PICTURES)?;
     if sharp.files.is_empty() {
-        return Ok(None);
+        return Ok(truth);
     }
     for PlannedFrame { view, .. } in frames {
         let same_size = match sharp.files.get(&view.name) {
@@ -131,8 +134,9 @@ pub(super) fn sharp_frames(
                 "{name}/ is not read as truth of the frames: it has no picture of the frame's size for {}",
                 view.name
             ));
-            return Ok(None);
+            return Ok(truth);
         }
     }
-    Ok(Some(folder))
+    truth.sharp = folder;
+    Ok(truth)
 }
