@@ -3,11 +3,10 @@
 use std::fs;
 use std::path::Path;
 
-use glam::DMat3;
 use io::{IoError, Scene};
 use tempfile::TempDir;
 
-use crate::make::{self, HEIGHT, WIDTH, colmap_binary, npy, pose, poses_bounds, without_movers};
+use crate::make::{self, HEIGHT, WIDTH, colmap_binary, npy, poses_bounds, without_movers};
 
 /// What a picture is filled with says which it is: the instant, the eye, and whether it is sharp.
 fn blue(instant: usize, eye: &str, sharp: bool) -> usize {
@@ -78,19 +77,7 @@ fn left_cameras_see_the_frames_and_right_ones_the_sharp_test_views() {
             assert_eq!(filling(&test.image.pixels), blue(i, "right", true));
             assert_eq!(filling(&sharp[i].pixels), blue(i, "left", true));
             for (side, view) in [frame, test].into_iter().enumerate() {
-                let (rotation, translation) = pose(2 * i + side);
-                let found = view.cam_from_world;
-                let turn = DMat3::from_quat(rotation);
-                assert!(found.matrix3.abs_diff_eq(turn, 1e-6), "{}", view.name);
-                assert!((found.translation - translation).length() < 1e-6);
-                assert_eq!((view.image.width, view.image.height), (WIDTH, HEIGHT));
-                assert_eq!(view.time, i as f32);
-                // The cameras are those of pictures twice as large.
-                let c = &view.camera;
-                assert_eq!(
-                    [c.fx, c.fy, c.cx, c.cy],
-                    [make::FOCAL, make::FOCAL, 8.0, 6.0]
-                );
+                make::assert_stereo_camera(view, 2 * i + side);
             }
         }
         for part in ["dpt/ is not read", "picture's middle"] {

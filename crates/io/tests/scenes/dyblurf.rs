@@ -3,12 +3,11 @@
 
 use std::path::Path;
 
-use glam::DMat3;
 use io::{IoError, Scene};
 use tempfile::TempDir;
 
 use crate::make::{
-    self, FRAMES, HEIGHT, WIDTH, colmap_binary, names, npy, pose, poses_bounds, without_movers,
+    self, FRAMES, HEIGHT, WIDTH, colmap_binary, names, npy, poses_bounds, without_movers,
 };
 
 /// DyBluRF's own files.
@@ -72,21 +71,7 @@ fn the_stereo_blur_dataset_is_read_as_its_authors_read_it() {
         (scene.test.iter().collect(), 1),
     ] {
         for (i, view) in views.into_iter().enumerate() {
-            let (rotation, translation) = pose(2 * i + side);
-            let found = view.cam_from_world;
-            let (turn, shift) = (DMat3::from_quat(rotation), found.translation - translation);
-            assert!(
-                found.matrix3.abs_diff_eq(turn, 1e-6),
-                "camera {i} of side {side}"
-            );
-            assert!(shift.length() < 1e-6, "camera {i} of side {side}");
-            assert_eq!((view.image.width, view.image.height), (WIDTH, HEIGHT));
-            assert_eq!(view.time, i as f32);
-            let c = &view.camera;
-            assert_eq!(
-                [c.fx, c.fy, c.cx, c.cy],
-                [make::FOCAL, make::FOCAL, 8.0, 6.0]
-            );
+            make::assert_stereo_camera(view, 2 * i + side);
         }
     }
     assert_eq!(

@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
-use io::{IoError, LoadOptions, Scene};
+use io::{IoError, LoadOptions, Scene, View};
 use tempfile::TempDir;
 
 pub(crate) const WIDTH: usize = 16;
@@ -100,6 +100,22 @@ pub(crate) fn poses_bounds(cameras: usize) -> Vec<u8> {
     };
     let values: Vec<f32> = (0..cameras).flat_map(row).collect();
     npy(&[cameras, 17], &values)
+}
+
+/// Asserts that a view's picture, time and camera are those of a row of [`poses_bounds`].
+pub(crate) fn assert_stereo_camera(view: &View, row: usize) {
+    let (rotation, translation) = pose(row);
+    let found = view.cam_from_world;
+    let (turn, shift) = (DMat3::from_quat(rotation), found.translation - translation);
+    assert!(found.matrix3.abs_diff_eq(turn, 1e-6), "row {row}'s axes");
+    assert!(shift.length() < 1e-6, "row {row}'s centre");
+    let size = (view.image.width, view.image.height);
+    assert_eq!(size, (WIDTH, HEIGHT), "row {row}'s picture");
+    assert_eq!(view.time, (row / 2) as f32, "row {row}'s instant");
+    // The cameras are those of pictures twice as large.
+    let c = &view.camera;
+    let expected = [FOCAL, FOCAL, 8.0, 6.0];
+    assert_eq!([c.fx, c.fy, c.cx, c.cy], expected, "row {row}'s lens");
 }
 
 /// The scene with its movers ignored.
