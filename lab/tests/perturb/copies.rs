@@ -63,14 +63,15 @@ pub(crate) fn differing(a: &Path, b: &Path) -> Result<BTreeSet<PathBuf>, Box<dyn
     Ok(names.into_iter().filter(differs).collect())
 }
 
-/// Copies a folder with all that is in it.
-pub(crate) fn copy_whole(from: &Path, to: &Path) -> Outcome {
-    for (name, bytes) in files(from)? {
-        let path = to.join(name);
+/// A copy of the repository's scene in `folder` whose files are its own, so that they can be changed.
+pub(crate) fn whole_copy(folder: &Path) -> Result<PathBuf, Box<dyn Error>> {
+    let scene = folder.join("scene");
+    for (name, bytes) in files(&demo())? {
+        let path = scene.join(name);
         fs::create_dir_all(path.parent().expect("a file lies in a folder"))?;
         fs::write(path, bytes)?;
     }
-    Ok(())
+    Ok(scene)
 }
 
 pub(crate) fn array(bytes: &[u8]) -> std::io::Result<Vec<f32>> {

@@ -4,8 +4,8 @@ mod copies;
 mod poses;
 
 use copies::{
-    DEPTH, IMAGES, NONE, Outcome, TRACKS, archive, array, copy, copy_whole, demo, differing, files,
-    scenes,
+    DEPTH, IMAGES, NONE, Outcome, TRACKS, archive, array, copy, demo, differing, files, scenes,
+    whole_copy,
 };
 use limpid_lab::Perturb;
 use std::collections::{BTreeMap, BTreeSet};
@@ -147,8 +147,7 @@ fn a_frames_depth_is_scaled_and_shifted_as_far_as_was_said() -> Outcome {
 #[test]
 fn missing_depth_stays_missing_and_none_comes_near_the_camera() -> Outcome {
     let folder = tempfile::tempdir()?;
-    let scene = folder.path().join("scene");
-    copy_whole(&demo(), &scene)?;
+    let scene = whole_copy(folder.path())?;
     let file = scene.join(DEPTH).join("00000.npy");
     let bytes = fs::read(&file)?;
     // The first pixel is missing, the second is right before the camera.
@@ -218,8 +217,7 @@ fn tracks_are_jittered_evenly_up_to_so_many_px() -> Outcome {
 #[test]
 fn tracks_in_a_folder_are_jittered_as_those_in_an_archive() -> Outcome {
     let folder = tempfile::tempdir()?;
-    let scene = folder.path().join("scene");
-    copy_whole(&demo(), &scene)?;
+    let scene = whole_copy(folder.path())?;
     let mut zip = zip::ZipArchive::new(Cursor::new(fs::read(scene.join(TRACKS))?))?;
     let tracks = scene.join("flow3d_preprocessed/2d_tracks");
     zip.extract(&tracks)?;
@@ -307,8 +305,7 @@ fn squares_of_masks_become_their_opposite() -> Outcome {
 fn what_is_half_made_is_made_anew() -> Outcome {
     let folder = tempfile::tempdir()?;
     let by = Perturb { depth: 0.2, ..NONE };
-    let scene = folder.path().join("scene");
-    copy_whole(&demo(), &scene)?;
+    let scene = whole_copy(folder.path())?;
     let last = scene.join(DEPTH).join("00015.npy");
     let good = fs::read(&last)?;
     fs::write(&last, &good[..good.len() / 2])?;

@@ -1,11 +1,11 @@
 //! Poses, projected without the code that moves them.
 
-use crate::copies::{DEPTH, IMAGES, NONE, Outcome, array, copy, copy_whole, demo, scenes};
+use crate::copies::{DEPTH, IMAGES, NONE, Outcome, array, copy, demo, scenes, whole_copy};
 use limpid_lab::Perturb;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A pose as matrix and centre: camera from world is `rotation (x - centre)`.
 #[derive(Clone, Debug, PartialEq)]
@@ -159,12 +159,12 @@ fn training_poses_are_off_by_so_many_px_and_test_poses_are_not() -> Outcome {
     Ok(())
 }
 
-/// The demo with its COLMAP model as text, with a comment, and names of folders before files'.
-fn with_text_model(to: &Path) -> Result<String, Box<dyn Error>> {
-    copy_whole(&demo(), to)?;
-    let bytes = fs::read(to.join(IMAGES))?;
+/// A copy of the demo in `folder` with its COLMAP model as text, with a comment; and the text of its images.
+fn with_text_model(folder: &Path) -> Result<(PathBuf, String), Box<dyn Error>> {
+    let scene = whole_copy(folder)?;
+    let bytes = fs::read(scene.join(IMAGES))?;
     let mut text = String::from("# images\n");
-    for (id, (name, pose)) in poses(&to.join(IMAGES))?.iter().enumerate() {
+    for (id, (name, pose)) in poses(&scene.join(IMAGES))?.iter().enumerate() {
         let numbers = pose.bytes.chunks_exact(8);
         let numbers = numbers.map(|n| f64::from_le_bytes(n.try_into().expect("eight")).to_string());
         let numbers: Vec<String> = numbers.collect();
@@ -172,7 +172,7 @@ fn with_text_model(to: &Path) -> Result<String, Box<dyn Error>> {
         text += if id % 2 == 0 { "\n" } else { "1.5 2.5 -1\n" };
     }
     assert_eq!(bytes[..8], 32_u64.to_le_bytes(), "sixteen pairs");
-    let model = to.join(IMAGES);
+    let model = scene.join(IMAGES);
     fs::remove_file(&model)?;
     fs::write(model.with_extension("txt"), &text)?;
     let cameras = fs::read(model.with_file_name("cameras.bin"))?;
@@ -180,14 +180,13 @@ fn with_text_model(to: &Path) -> Result<String, Box<dyn Error>> {
     let numbers: Vec<String> = (0..4).map(|k| f64_at(32 + 8 * k).to_string()).collect();
     let line = format!("# cameras\n1 PINHOLE 160 90 {}\n", numbers.join(" "));
     fs::write(model.with_file_name("cameras.txt"), line)?;
-    Ok(text)
+    Ok((scene, text))
 }
 
 #[test]
 fn a_model_of_text_is_perturbed_as_a_binary_one() -> Outcome {
     let folder = tempfile::tempdir()?;
-    let scene = folder.path().join("scene");
-    let before = with_text_model(&scene)?;
+    let (scene, before) = with_text_model(folder.path())?;
     let by = Perturb {
         poses_px: 2.0,
         ..NONE
@@ -221,8 +220,7 @@ fn a_model_of_text_is_perturbed_as_a_binary_one() -> Outcome {
 #[test]
 fn where_the_model_has_training_frames_alone_all_are_moved() -> Outcome {
     let folder = tempfile::tempdir()?;
-    let scene = folder.path().join("scene");
-    let text = with_text_model(&scene)?;
+    let (scene, text) = with_text_model(folder.path())?;
     let mut alone = String::new();
     let lines: Vec<&str> = text.lines().skip(1).collect();
     for pair in lines.chunks_exact(2) {
