@@ -50,5 +50,5 @@ pub use resample::shrink_image;
 pub use scene::{Frame, LoadOptions, Scene, SparsePoint, TruthFolders, View};
 pub use splat_core::Gaussians;
 pub use tracks::{QueryTracks, TrackSample, Tracks};
-pub use truth::Truth;
+pub use truth::{TrueExposure, Truth};
 pub use undistort::Undistortion;

@@ -405,7 +405,7 @@ impl Loader {
 }
 
 /// An array [H, W] as a map; sides of length 1 around it do not matter.
-fn read_array_map(path: &Path) -> Result<Map, IoError> {
+pub(crate) fn read_array_map(path: &Path) -> Result<Map, IoError> {
     let array = read_npy(path)?;
     let sides: Vec<_> = if array.shape.len() == 2 {
         array.shape.clone()

@@ -87,6 +87,10 @@ pub struct TruthFolders {
     pub covisible: PathBuf,
     /// What moves in test views.
     pub masks_test: PathBuf,
+    /// z-depth of the training frames.
+    pub depth: PathBuf,
+    /// The cameras from which training frames collected their light.
+    pub exposure: PathBuf,
 }
 
 impl TruthFolders {
@@ -97,6 +101,8 @@ impl TruthFolders {
             sharp: truth.join("images_sharp"),
             covisible: truth.join("covisible"),
             masks_test: truth.join("masks_test"),
+            depth: truth.join("depth"),
+            exposure: truth.join("exposure"),
         }
     }
 }

@@ -2,9 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::{DAffine3, DMat3, DVec3};
+
 use crate::folder::{PICTURES, list};
+use crate::load::read_array_map;
+use crate::npy::read_npy;
 use crate::picture::{Size, read_image_for, read_map_for};
-use crate::resample::{shrink_image, shrink_map};
+use crate::resample::{shrink_depth, shrink_image, shrink_map};
 use crate::{Image, IoError, Map, Scene, Undistortion, View};
 
 /// The truth of a scene, each picture at its view's size and as its pinhole sees it. Parts that are not there are None.
@@ -17,6 +21,18 @@ pub struct Truth {
     pub covisible: Option<Vec<Map>>,
     /// `truth/masks_test`: 1 where a test view shows something that moves, one per test view.
     pub masks_test: Option<Vec<Map>>,
+    /// `truth/exposure` and `truth/depth`: how the training frames were blurred, one per frame.
+    pub exposures: Option<Vec<TrueExposure>>,
+}
+
+/// How a training frame was blurred: its light came in equal parts from these cameras.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrueExposure {
+    /// From the camera of the frame's pose to each of those: a motion in space, with a shear for a point of a lens off its middle.
+    /// `truth/exposure/NAME.npy`, [n, 3, 4] of real numbers, in the scene's units.
+    pub cameras: Vec<DAffine3>,
+    /// z-depth as the frame's pose sees it, 0 where missing. `truth/depth/NAME.npy`, [H, W] of real numbers.
+    pub depth: Map,
 }
 
 impl Scene {
@@ -34,7 +50,7 @@ impl Scene {
         let factor = self.downscale;
 
         let sharp = self.part(
-            &self.truth_folders.sharp,
+            (&self.truth_folders.sharp, PICTURES),
             &training,
             |path, size, undone| {
                 let image = read_image_for(path, Some(size), &mut Vec::new())?;
@@ -55,28 +71,58 @@ impl Scene {
             };
             Ok((found, shrink_map(map, factor)))
         };
+        let folders = &self.truth_folders;
         Ok(Truth {
             sharp,
-            covisible: self.part(&self.truth_folders.covisible, &test, map)?,
-            masks_test: self.part(&self.truth_folders.masks_test, &test, map)?,
+            covisible: self.part((&folders.covisible, PICTURES), &test, map)?,
+            masks_test: self.part((&folders.masks_test, PICTURES), &test, map)?,
+            exposures: self.exposures(&training)?,
         })
     }
 
-    /// One picture per view, by the view's name. `read` is told the size that is expected and what was undone of the lens, and
-    /// also tells the file's own size.
+    fn exposures(
+        &self,
+        training: &[(&View, Option<&Undistortion>)],
+    ) -> Result<Option<Vec<TrueExposure>>, IoError> {
+        let (folder, folders) = (&self.truth_folders.exposure, &self.truth_folders);
+        let Some(paths) = files((folder, ARRAYS), training)? else {
+            return Ok(None);
+        };
+        let depth = self.part((&folders.depth, ARRAYS), training, |path, _, undone| {
+            let mut depth = read_array_map(path)?;
+            for z in &mut depth.values {
+                *z = if *z > 0.0 && z.is_finite() { *z } else { 0.0 };
+            }
+            let found = (depth.width, depth.height);
+            let depth = match undone {
+                Some(undone) => undone.depth(&depth),
+                None => depth,
+            };
+            Ok((found, shrink_depth(depth, self.downscale)))
+        })?;
+        let Some(depth) = depth else {
+            let advice =
+                "the kernels of an exposure follow from it; add it, or remove truth/exposure";
+            return Err(IoError::missing(&folders.depth, "true depth", advice));
+        };
+        let exposures = paths.iter().zip(depth).map(|(path, depth)| {
+            let cameras = cameras(path)?;
+            Ok(TrueExposure { cameras, depth })
+        });
+        exposures.collect::<Result<_, _>>().map(Some)
+    }
+
+    /// One picture or array per view, by the view's name, out of a folder and with one of some endings. `read` is told the size
+    /// that is expected and what was undone of the lens, and also tells the file's own size.
     fn part<T>(
         &self,
-        folder: &Path,
+        kind: (&Path, &[&str]),
         views: &[(&View, Option<&Undistortion>)],
         read: impl Fn(&Path, Size, Option<&Undistortion>) -> Result<(Size, T), IoError>,
     ) -> Result<Option<Vec<T>>, IoError> {
-        let listing = list(folder, PICTURES)?;
-        if listing.files.is_empty() || views.is_empty() {
+        let Some(paths) = files(kind, views)? else {
             return Ok(None);
-        }
-        let stems: Vec<_> = views.iter().map(|(view, _)| view.name.clone()).collect();
-        let advice = "add them, or remove the folder";
-        let paths: Vec<PathBuf> = listing.pick(&stems, folder, "truth for", advice)?;
+        };
         let mut pictures = Vec::with_capacity(views.len());
         for (path, (view, undone)) in paths.iter().zip(views) {
             let camera = (view.camera.width, view.camera.height);
@@ -90,4 +136,47 @@ impl Scene {
         }
         Ok(Some(pictures))
     }
+}
+
+/// Endings of arrays.
+const ARRAYS: &[&str] = &["npy"];
+
+/// One file per view, by the view's name; `None` of a folder without any.
+fn files(
+    (folder, endings): (&Path, &[&str]),
+    views: &[(&View, Option<&Undistortion>)],
+) -> Result<Option<Vec<PathBuf>>, IoError> {
+    let listing = list(folder, endings)?;
+    if listing.files.is_empty() || views.is_empty() {
+        return Ok(None);
+    }
+    let stems: Vec<_> = views.iter().map(|(view, _)| view.name.clone()).collect();
+    let advice = "add them, or remove the folder";
+    listing.pick(&stems, folder, "truth for", advice).map(Some)
+}
+
+/// See [`TrueExposure::cameras`].
+fn cameras(path: &Path) -> Result<Vec<DAffine3>, IoError> {
+    let array = read_npy(path)?;
+    let [count, 3, 4] = array.shape[..] else {
+        let what = format!("cameras are [n, 3, 4], and this is {:?}", array.shape);
+        return Err(IoError::malformed(path, what));
+    };
+    if count == 0 {
+        return Err(IoError::malformed(path, "an exposure has a camera or more"));
+    }
+    let rows = array.values.as_chunks::<12>().0;
+    let cameras = rows.iter().enumerate().map(|(k, rows)| {
+        let rows = rows.map(f64::from);
+        let column = |j: usize| DVec3::new(rows[j], rows[4 + j], rows[8 + j]);
+        let camera = DAffine3 {
+            matrix3: DMat3::from_cols(column(0), column(1), column(2)),
+            translation: column(3),
+        };
+        // A camera that cannot be undone sees nothing.
+        let usable = camera.is_finite() && camera.inverse().is_finite();
+        let wrong = || IoError::malformed(path, format!("camera {k} is no map that can be undone"));
+        usable.then_some(camera).ok_or_else(wrong)
+    });
+    cameras.collect()
 }

@@ -9,6 +9,7 @@ mod d2rf;
 mod distorted;
 mod dyblurf;
 mod dycheck;
+mod exposure;
 mod make;
 mod masks;
 mod megasam;
