@@ -221,6 +221,15 @@ pub(crate) fn summary(evaluation: &Evaluation) -> String {
     if let Some(scores) = &evaluation.train_sharp {
         line("sharp training views", scores);
     }
+    if let Some(kernels) = &evaluation.kernels {
+        let (found, centred) = (kernels.as_found, kernels.centred);
+        writeln!(
+            text,
+            "kernels against the true ones: PSNR {:.2} dB, KL divergence {:.3}; each around its middle: {:.2} dB, {:.3}",
+            found.psnr, found.kl, centred.psnr, centred.kl
+        )
+        .expect("a string takes text");
+    }
     let counts = evaluation.gaussians;
     write!(
         text,

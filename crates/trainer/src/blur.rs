@@ -172,6 +172,16 @@ impl BlurModel {
         }
     }
 
+    /// The cameras from which a frame's light comes in equal parts, so many of them, each as a map from the frame's camera to it;
+    /// `None` where the model knows of none.
+    pub(crate) fn cameras(&self, frame: usize, count: usize) -> Option<Vec<DAffine3>> {
+        match self {
+            Self::Off | Self::Kernels(_) => None,
+            Self::Camera(camera) => Some(camera.cameras(frame, count)),
+            Self::Both(both) => Some(both.camera.cameras(frame, count)),
+        }
+    }
+
     /// Keeps what later iterations want to know of a frame that was learned from: the values of [`Trace::lesson`].
     pub(crate) fn learned(&mut self, frame: usize, lesson: Vec<f32>) {
         match self {

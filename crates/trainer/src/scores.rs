@@ -6,6 +6,7 @@ use crate::corrections::FrameCorrection;
 use crate::metrics::{masked_psnr, psnr, ssim};
 use crate::placement::dilate;
 use crate::run::Run;
+use crate::true_kernels::{KernelScores, TrueKernels};
 use io::{Image, Scene, Truth};
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +19,9 @@ pub struct Evaluation {
     /// Sharp renders of the training views against their truth, where the scene has it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub train_sharp: Option<Scores>,
+    /// The kernels by which training views are blurred, against the true ones; absent where the scene does not know those.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kernels: Option<KernelScores>,
     /// Iterations done.
     pub iterations: usize,
     /// Number of Gaussians.
@@ -123,7 +127,8 @@ impl Run {
             test.push(score(&view.name, &image, &wanted, &regions(&truth, index)));
         }
         let (mut train_sharp, mut figures) = (Vec::new(), FigureSums::default());
-        if truth.sharp.is_some() || self.model().blur.is_on(self.iteration()) {
+        let mut kernels = TrueKernels::of(scene, truth.exposures.as_deref());
+        if truth.sharp.is_some() || kernels.is_some() || self.model().blur.is_on(self.iteration()) {
             for (index, viewpoint) in self.views().train.iter().enumerate() {
                 let view = self.render_training_view(index)?;
                 if let Some(blur) = &view.blur {
@@ -135,12 +140,17 @@ impl Run {
                     let scored = score(&viewpoint.name, &view.sharp, &sharp[index], &regions);
                     train_sharp.push(scored);
                 }
+                if let Some(kernels) = &mut kernels {
+                    let model = self.model_kernels(index, view.blur.as_ref())?;
+                    kernels.score(index, |pixel| model.at(pixel));
+                }
             }
         }
         let model = self.model();
         Ok(Evaluation {
             test: mean_scores(test),
             train_sharp: mean_scores(train_sharp),
+            kernels: kernels.and_then(TrueKernels::scores),
             iterations: self.iteration(),
             gaussians: GaussianCounts {
                 fixed: model.num_gaussians() - model.num_dynamic(),

@@ -263,6 +263,15 @@ impl CameraBlur {
         times.zip(poses_of(poses)).collect()
     }
 
+    /// See [`super::BlurModel::cameras`].
+    pub(super) fn cameras(&self, frame: usize, count: usize) -> Vec<DAffine3> {
+        let options = (&self.capture.paths.device(), self.capture.paths.dtype());
+        let still = pose_tensor(&DAffine3::IDENTITY, options);
+        let taken = samples(count, [0.5, 0.0]);
+        let poses = self.capture.poses(frame, &still, &taken, self.scene_size);
+        poses_of(poses)
+    }
+
     /// Takes out of the paths' means what all frames have in common, which is the scene's: of the shifts in the image what a scene
     /// that lies elsewhere shows, and of the turns about the optical axis and of the translations all that goes with the camera's
     /// place. (A path that a trial left out stays out.)
