@@ -37,7 +37,7 @@ pub(crate) struct Posed {
 }
 
 /// A camera of a model; its distortion is left out.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Lens {
     /// Width and height, px.
     pub(crate) size: DVec2,

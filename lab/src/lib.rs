@@ -22,6 +22,7 @@ mod plan;
 mod plot;
 mod poses;
 mod report;
+mod retake;
 mod scenes;
 mod score;
 mod statistics;

@@ -14,7 +14,8 @@ use toml::{Table, Value};
 use zip::write::FileOptions;
 use zip::{ZipArchive, ZipWriter};
 
-/// How much worse the inputs of training are than the scene's; where it is 0, a part is as it is.
+/// How much worse the inputs of training are than the scene's; where it is 0, a part is as it is. (Frames that are taken anew are
+/// blurred as much as is said, however blurry the scene's own are.)
 ///
 /// A px is one of the scene's stored pictures, before `downscale`. What is drawn depends on the scene's name, the run's seed, the
 /// part and the frame, and not on how much: a larger step errs in the same directions as a smaller one, and on every machine.
@@ -32,11 +33,25 @@ pub struct Perturb {
     /// (root mean square over pictures and frames); about as far by turning as by shifting, and both are zero on average over
     /// the frames, in the world's axes: else the scene would be elsewhere for the test views. Those stay where they are.
     pub poses_px: f64,
+    /// Frames are taken anew of the sharp truth, with the true depth, by a camera that shakes while its shutter is open: turning and
+    /// shifting each move a point at the median depth along a bent path, which is about half as many px long, and in the calmest
+    /// frames a tenth. The copy's truth holds the cameras, from which `limpid` computes true kernels.
+    pub shake_px: f64,
+    /// The same by a lens whose focus is elsewhere in each frame, between depths that a tenth of the pixels lie before and behind:
+    /// what is at one of these while it is focused at the other becomes a disc with a diameter of so many px.
+    pub disc_px: f64,
 }
 
 impl Perturb {
     /// Its fields' names.
-    pub(crate) const PARTS: [&str; 4] = ["depth", "tracks_px", "mask_squares", "poses_px"];
+    pub(crate) const PARTS: [&str; 6] = [
+        "depth",
+        "tracks_px",
+        "mask_squares",
+        "poses_px",
+        "shake_px",
+        "disc_px",
+    ];
 
     /// Whether anything is other than in the scene.
     #[must_use]
@@ -65,7 +80,12 @@ impl Perturb {
             let problem = "must be at least 0, and below 1: a frame's depth is multiplied by 1 less this, or more";
             return wrong("depth", problem);
         }
-        for (part, px) in [("tracks_px", self.tracks_px), ("poses_px", self.poses_px)] {
+        for (part, px) in [
+            ("tracks_px", self.tracks_px),
+            ("poses_px", self.poses_px),
+            ("shake_px", self.shake_px),
+            ("disc_px", self.disc_px),
+        ] {
             if !(0.0..=1e4).contains(&px) {
                 return wrong(part, "must be at least 0, and at most 10000");
             }
@@ -80,6 +100,8 @@ impl Perturb {
             self.tracks_px,
             f64::from(self.mask_squares),
             self.poses_px,
+            self.shake_px,
+            self.disc_px,
         ];
         let parts = Self::PARTS.iter().zip(amounts);
         let parts = parts.filter(|(_, amount)| *amount > 0.0);

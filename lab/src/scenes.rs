@@ -6,6 +6,7 @@ use crate::copies::{entries, make, rewrite};
 use crate::error::LabError;
 use crate::perturb::{Draw, Perturb, depth, masks, tracks};
 use crate::poses::poses;
+use crate::retake::{EXPOSURE, FRAMES, Retake};
 use crate::study::Truth;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -62,6 +63,9 @@ impl Scenes {
             folder: scene.clone(),
         };
         let draw = Draw { scene: name, seed };
+        if perturb.shake_px > 0.0 || perturb.disc_px > 0.0 {
+            copy.retake(perturb, draw)?;
+        }
         if perturb.poses_px > 0.0 {
             let file = images_file(&scene);
             let file = file.unwrap_or_else(|| "flow3d_preprocessed/colmap/sparse".into());
@@ -138,11 +142,38 @@ impl Changed {
         if !has_some(&there) {
             return Err(missing(&there));
         }
+        self.put(name, part, write)
+    }
+
+    /// The same, whether there is such a part or not.
+    fn put(
+        &mut self,
+        name: String,
+        part: &Path,
+        write: impl FnOnce(&Path, &Path) -> Result<(), LabError>,
+    ) -> Result<(), LabError> {
         let copy = self.links.join(&name);
         make(&copy, &self.folder, part, write)?;
         self.folder = copy;
         self.name = name;
         Ok(())
+    }
+
+    /// With frames that are taken anew, and the truth about them.
+    fn retake(&mut self, by: &Perturb, draw: Draw<'_>) -> Result<(), LabError> {
+        let truth = self.folder.join(TRUE_DEPTH);
+        if !has_some(&truth) {
+            return Err(missing(&truth));
+        }
+        let retake = Retake::new(&self.folder, &truth, by)?;
+        let (shake, disc, seed) = (by.shake_px, by.disc_px, draw.seed);
+        let name = format!("{}+shake_px-{shake}+disc_px-{disc}-seed-{seed}", self.name);
+        self.put(format!("{name}+exposure"), Path::new(EXPOSURE), |_, to| {
+            retake.exposures(to, draw)
+        })?;
+        self.change(name, Path::new(FRAMES), |from, to| {
+            retake.frames(from, to, draw)
+        })
     }
 
     /// See [`Changed::change`]; the name says what was perturbed, how much, and by which draw.

@@ -19,6 +19,8 @@ pub(crate) const NONE: Perturb = Perturb {
     tracks_px: 0.0,
     mask_squares: 0,
     poses_px: 0.0,
+    shake_px: 0.0,
+    disc_px: 0.0,
 };
 
 pub(crate) fn demo() -> PathBuf {

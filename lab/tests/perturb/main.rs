@@ -2,6 +2,7 @@
 
 mod copies;
 mod poses;
+mod retake;
 
 use copies::{
     DEPTH, IMAGES, NONE, Outcome, TRACKS, archive, array, copy, demo, differing, files, scenes,
@@ -65,6 +66,7 @@ fn only_the_named_part_changes_and_by_the_same_on_every_machine() -> Outcome {
         tracks_px: 9.0,
         mask_squares: 5,
         poses_px: 1.0,
+        ..NONE
     };
     let all = files(&copy(all, 1, here.path())?)?;
     let single = files(&copy(
@@ -347,6 +349,13 @@ fn a_part_that_a_scene_lacks_is_named() -> Outcome {
                 ..NONE
             },
             "colmap",
+        ),
+        (
+            Perturb {
+                shake_px: 1.0,
+                ..NONE
+            },
+            "truth",
         ),
     ] {
         let scene = folder.path().join(part);
