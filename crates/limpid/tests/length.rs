@@ -31,8 +31,9 @@ fn assert_repeats(out: &Path) -> Result<(), Box<dyn Error>> {
     let again = tempfile::tempdir()?;
     let config = out.join("config.json");
     let run = train(again.path(), &["--config", config.to_str().ok_or("UTF-8")?])?;
-    assert!(run.status.success());
-    assert_eq!(length(again.path())?, length(out)?);
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.success(), "{said}");
+    assert_eq!(length(again.path())?, length(out)?, "as long as it");
     assert!(
         fs::read(out.join("scene.ply"))? == fs::read(again.path().join("scene.ply"))?,
         "the same bits"
