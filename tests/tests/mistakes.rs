@@ -4,6 +4,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use io::{Map, Scene, TrackSample};
 use std::path::{Path, PathBuf};
 use trainer::check::{Verdict, check};
+use trainer::settings::When;
 use trainer::{Device, SceneProblem, Settings, TrainError, Trainer, survey};
 
 /// The demo, and all scenes of the folder that `LIMPID_SCENES` names.
@@ -196,7 +197,7 @@ fn movers_that_cannot_be_lifted_are_an_error_that_says_what_is_missing() {
     for nothing in [0.0, -1.0] {
         let mut scene = demo.clone();
         depth_by(&mut scene, |_| nothing);
-        let error = survey(&mut scene).expect_err("no depth");
+        let error = survey(&mut scene, When::Auto).expect_err("no depth");
         let is_told = matches!(error, TrainError::Scene(SceneProblem::MoversWithoutDepth));
         assert!(is_told, "{error}");
     }

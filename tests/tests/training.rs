@@ -1,13 +1,14 @@
 //! Training end to end on the tiny scene.
 
 use burn::tensor::Device;
+use glam::DVec2;
 use io::Scene;
-use limpid_tests::tiny::{camera, pose, scene, settings};
+use limpid_tests::tiny::{HEIGHT, WALL, WIDTH, camera, pose, scene, settings};
 use limpid_tests::{devices, in_pool, with_causes};
 use splat_core::{Extra, Splats, Viewpoint, render};
 use std::collections::BTreeSet;
-use trainer::settings::{BlurKind, FrameSettings};
-use trainer::{BlurModel, Trainer};
+use trainer::settings::{BlurKind, FrameSettings, When};
+use trainer::{BlurModel, Trainer, survey};
 
 /// The bits of all parameters, and the losses, after `steps` iterations.
 fn train(device: &Device, steps: usize) -> (Vec<f64>, Vec<(String, Vec<u32>)>) {
@@ -185,6 +186,96 @@ fn still_scene() -> Scene {
         frame.mask = None;
     }
     still
+}
+
+/// The scene with masks and tracks of a poster on the wall.
+fn scene_with_a_poster() -> Scene {
+    let mut scene = scene();
+    let seen = |at: DVec2, t: usize| {
+        let from_world = pose(t as f64);
+        camera().project(from_world.transform_point3(at.extend(WALL)))
+    };
+    for (t, frame) in scene.frames.iter_mut().enumerate() {
+        let corners = [DVec2::new(-0.9, -0.7), DVec2::new(1.1, 0.7)].map(|at| seen(at, t));
+        let inside = |i: usize| {
+            let at = DVec2::new((i % WIDTH) as f64 + 0.5, (i / WIDTH) as f64 + 0.5);
+            at.cmpgt(corners[0]).all() && at.cmplt(corners[1]).all()
+        };
+        let mask = frame.mask.as_mut().expect("a mask");
+        mask.values = (0..WIDTH * HEIGHT)
+            .map(|i| f32::from(u8::from(inside(i))))
+            .collect();
+        let depth = frame.depth.as_mut().expect("depth");
+        depth.values.fill(WALL as f32);
+    }
+    let tracks = scene.tracks.as_mut().expect("tracks");
+    for query in &mut tracks.queries {
+        for (row, samples) in query
+            .samples
+            .chunks_exact_mut(tracks.num_frames)
+            .enumerate()
+        {
+            let place = DVec2::new((row % 6) as f64, (row / 6) as f64);
+            let at = DVec2::new(-0.8, -0.6) + place * DVec2::new(0.36, 0.24);
+            for (t, sample) in samples.iter_mut().enumerate() {
+                let pixel = seen(at, t);
+                (sample.x, sample.y) = (pixel.x as f32, pixel.y as f32);
+            }
+        }
+    }
+    scene
+}
+
+#[test]
+fn masks_of_what_stands_still_are_left_out_unless_movers_are_asked_for() {
+    let device = Device::flex();
+    let started = |scene: Scene, when: When| {
+        let mut settings = settings();
+        settings.motion.when = when;
+        Trainer::new(scene, settings, &device).expect("a trainer")
+    };
+    let mut left_out = started(scene_with_a_poster(), When::Auto);
+    let survey = left_out.survey().clone();
+    assert!(!survey.movers, "{:?}", survey.notes);
+    let found = survey.track_motion.expect("tracks enough");
+    assert!(found.stands_still() && found.leaving == 0.0, "{found:?}");
+    let is_told = survey.notes.iter().any(|n| n.contains("stands still"));
+    assert!(is_told, "{:?}", survey.notes);
+
+    // The same as a scene that never had masks and tracks, and as one that is said to be static.
+    let mut without = scene_with_a_poster();
+    without.tracks = None;
+    without.frames.iter_mut().for_each(|f| f.mask = None);
+    for (scene, when) in [(without, When::Auto), (scene_with_a_poster(), When::Never)] {
+        assert_same(&bits(&left_out), &bits(&started(scene, when)), "left out");
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    left_out.save(folder.path()).expect("saved");
+    let mut resumed = Trainer::load(folder.path(), scene_with_a_poster(), &device).expect("loaded");
+    for trainer in [&mut left_out, &mut resumed] {
+        trainer.step().expect("a step");
+    }
+    assert_same(&bits(&left_out), &bits(&resumed), "resumed");
+
+    let asked = started(scene_with_a_poster(), When::Always);
+    assert!(asked.survey().movers, "{:?}", asked.survey().notes);
+    // What moves is not left out.
+    let mover = started(scene(), When::Auto);
+    assert!(mover.survey().movers, "{:?}", mover.survey().notes);
+}
+
+#[test]
+fn tracks_without_masks_are_looked_at_too() {
+    let notes = |mut scene: Scene| {
+        scene.frames.iter_mut().for_each(|f| f.mask = None);
+        let survey = survey(&mut scene, When::Auto).expect("a survey");
+        assert!(!survey.movers);
+        survey.notes.join("\n")
+    };
+    let moving = notes(scene());
+    assert!(moving.contains("warning: there are no masks"), "{moving}");
+    let still = notes(scene_with_a_poster());
+    assert!(!still.contains("warning"), "{still}");
 }
 
 /// The checkpoint's header is text: every number in it must come back as it was.

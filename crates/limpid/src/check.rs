@@ -68,7 +68,7 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
         _ => 0,
     };
     writeln!(text, "training would go by this:")?;
-    let survey = trainer::survey(&mut scene)?;
+    let survey = trainer::survey(&mut scene, settings.motion.when)?;
     let decided = survey.decided(&settings);
     for note in survey.notes.iter().chain(&decided) {
         writeln!(text, "  {note}")?;

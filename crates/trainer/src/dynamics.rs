@@ -145,7 +145,7 @@ pub(crate) fn start_dynamics(
     let scales = clamped_scales(&means);
     let colors = chosen.iter().map(|&p| init.tracks.colors[p]).collect();
     let note = format!(
-        "{kept} tracks, {bases} motion bases{}, canonical frame {canonical}, {} dynamic Gaussians",
+        "{kept} tracks, {bases} motion bases{} (`motion.num_bases` sets the most), canonical frame {canonical}, {} dynamic Gaussians",
         if bases < init.num_motions {
             format!(
                 " (of {} motions that were told apart; tracks that were left out need no more)",

@@ -150,7 +150,10 @@ impl GaussianSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionSettings {
-    /// Number of motion bases N_b.
+    /// When what masks and tracks show is modelled as moving: by default unless the tracks stay where something that stands still
+    /// would be seen.
+    pub when: When,
+    /// Number of motion bases N_b, at most: those that move alike become one.
     pub num_bases: usize,
     /// Whether there are only as many bases as the tracks themselves need, by cross-validation.
     pub fewest_bases: bool,
@@ -169,6 +172,7 @@ pub struct MotionSettings {
 impl Default for MotionSettings {
     fn default() -> Self {
         Self {
+            when: When::Auto,
             num_bases: 20,
             fewest_bases: false,
             max_tracks: 40_000,
@@ -393,14 +397,16 @@ impl Default for LearningRates {
 }
 
 impl Settings {
-    /// The paper's text where it differs from the defaults: kernels in the place of the camera; no loss on fine detail or shifts; motion and blur learn at
-    /// constant rates, no hold, no gauge, the blur model's head as a framework initialises it (the paper says nothing about it).
+    /// The paper's text where it differs from the defaults: kernels in the place of the camera; movers wherever masks show some;
+    /// no loss on fine detail or shifts; motion and blur learn at constant rates, no hold, no gauge, the blur model's head as a
+    /// framework initialises it (the paper says nothing about it).
     #[must_use]
     pub fn paper() -> Self {
         let mut settings = Self::default();
         settings.learning_rates.motion_final_share = 1.0;
         settings.learning_rates.blur_final_share = 1.0;
         settings.learning_rates.blur_short_run_share = 1.0;
+        settings.motion.when = When::Always;
         settings.blur.model = BlurKind::Kernels;
         settings.blur.hold = 0;
         settings.blur.mild_start = false;

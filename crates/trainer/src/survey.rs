@@ -5,9 +5,13 @@ use crate::brightness::{brightness_change, gains_differ};
 use crate::error::{SceneProblem, TrainError};
 use crate::settings::{BlurKind, Settings, When};
 use crate::sharpness::{is_blurred, sharpness_change};
+use crate::track_motion::{TrackMotion, track_motion};
 use crate::views::pixel_of;
 use io::Scene;
 use serde::{Deserialize, Serialize};
+
+/// No tracked point is nearer to a camera, as a share of the scene's size.
+const NEAREST: f64 = 0.1;
 
 /// What was found in a scene and decided from it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,8 +20,12 @@ pub struct Survey {
     pub scene_size: f64,
     /// Depths between which 90 % of the same lie, near and far, scene units.
     pub depth_range: [f64; 2],
-    /// There are masks that show movers, and tracks that say how they move.
+    /// There are masks that show movers, and tracks that say how they move and do not say that they stand still
+    /// ([`crate::settings::MotionSettings::when`] can ask for movers all the same, or for none).
     pub movers: bool,
+    /// What tracks say of whether they move; `None` where there are too few.
+    #[serde(default)]
+    pub track_motion: Option<TrackMotion>,
     /// There is depth for at least one frame.
     pub depth: bool,
     /// Median change of the fine contrast from a frame to the next, as a factor's logarithm; `None` where that cannot be told.
@@ -50,7 +58,10 @@ fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
     Some(match percent {
         None => "too few frames to tell whether they are blurred: blur is modelled".to_owned(),
         Some(percent) if survey.blurred => {
-            format!("fine contrast changes by {percent:.0} % from frame to frame: blur is modelled")
+            format!(
+                "fine contrast changes by {percent:.0} % from frame to frame: blur is modelled (`blur.model = \"off\"` has no \
+                 blur model)"
+            )
         }
         Some(percent) => format!(
             "fine contrast changes by {percent:.1} % from frame to frame, as in a sharp video: no blur model \
@@ -62,17 +73,77 @@ fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
 /// Why frames have gains of their own, where that is left to the survey.
 fn gains_note(settings: &Settings, survey: &Survey) -> Option<String> {
     let percent = 100.0 * survey.brightness_change?.exp_m1();
-    (settings.frames.gains == When::Auto && survey.gains_differ).then(|| {
-        format!("frames differ in brightness by {percent:.0} %: each has a gain of its own")
+    (settings.frames.gains == When::Auto).then(|| {
+        if survey.gains_differ {
+            format!(
+                "frames differ in brightness by {percent:.0} %: each has a gain of its own (`frames.gains = \"never\"` has none)"
+            )
+        } else {
+            format!(
+                "frames differ in brightness by {percent:.1} %, as at a fixed exposure: no gains (`frames.gains = \"always\"` has \
+                 them all the same)"
+            )
+        }
     })
 }
 
-/// Surveys a scene, and aligns the disparity of each frame to the sparse points where there are any
-/// (a robust scale and shift per frame).
+/// Whether anything is modelled as moving and why, where there are masks, tracks and what these say.
+fn movers_note(
+    [masked, tracked]: [bool; 2],
+    motion: Option<&TrackMotion>,
+    asked: When,
+    movers: bool,
+) -> String {
+    if masked && asked == When::Never {
+        return "masks are left out (`motion.when = \"never\"`): the scene is modelled as static"
+            .to_owned();
+    }
+    let place = "where something that stands still would be seen";
+    match (masked, tracked, motion) {
+        (true, false, _) => "masks without tracks: the scene is modelled as static".to_owned(),
+        (false, true, Some(motion)) if motion.moves() => format!(
+            "warning: there are no masks, but of {} tracks {:.0} % leave {place}, next to each other: either things move, which \
+             are left out until masks say where they are, or poses or depth are off",
+            motion.tracks,
+            100.0 * motion.leaving_together,
+        ),
+        (false, _, _) => "no movers: no motion bases".to_owned(),
+        (true, true, None) => {
+            "masks and tracks show movers; too few tracks are seen often enough to tell whether these move".to_owned()
+        }
+        (true, true, Some(motion)) => {
+            let found = format!(
+                "of {} tracks on the masks {:.1} % are more than {:.1} px from {place}, and {:.1} px at the median",
+                motion.tracks,
+                100.0 * motion.leaving,
+                motion.bar_px,
+                motion.distance_px
+            );
+            if !movers {
+                format!(
+                    "what the masks show stands still: {found}; masks and tracks are left out, and the scene is modelled as \
+                     static (`motion.when = \"always\"` models movers all the same)"
+                )
+            } else if motion.moves() {
+                format!("masks and tracks show movers: {found} (`motion.when = \"never\"` models none)")
+            } else {
+                format!(
+                    "masks and tracks show movers, which may stand still: {found}; tracks are near {:.0} % of the masks \
+                     (`motion.when = \"never\"` models no movers)",
+                    100.0 * motion.covered
+                )
+            }
+        }
+    }
+}
+
+/// Surveys a scene, aligns the disparity of each frame to the sparse points where there are any (a robust scale and shift per
+/// frame), and takes the masks away where the tracks on them say that nothing moves; `asked` can ask for movers all the same, or
+/// for none ([`crate::settings::MotionSettings::when`]).
 ///
 /// # Errors
 /// The scene has neither depth nor sparse points in front of its cameras, or movers and no depth to lift them by.
-pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
+pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
     let mut notes = Vec::new();
     for frame in &mut scene.frames {
         // A map without a single depth is no map.
@@ -112,21 +183,25 @@ pub fn survey(scene: &mut Scene) -> Result<Survey, TrainError> {
         .tracks
         .as_ref()
         .is_some_and(|t| t.queries.iter().any(|q| !q.samples.is_empty()));
-    let movers = masked && tracked;
-    if movers && !depth {
+    let shown = masked && tracked && asked != When::Never;
+    if shown && !depth {
         return Err(SceneProblem::MoversWithoutDepth.into());
     }
-    notes.push(match (masked, tracked) {
-        (true, true) => "masks and tracks show movers".to_owned(),
-        (true, false) => "masks without tracks: the scene is modelled as static".to_owned(),
-        (false, _) => "no movers: no motion bases".to_owned(),
-    });
+    let track_motion = track_motion(scene, NEAREST * scene_size);
+    let stand_still = track_motion.as_ref().is_some_and(TrackMotion::stands_still);
+    let movers = shown && asked.holds(!stand_still);
+    if asked == When::Never || (shown && !movers) {
+        scene.frames.iter_mut().for_each(|f| f.mask = None);
+    }
+    let given = [masked, tracked];
+    notes.push(movers_note(given, track_motion.as_ref(), asked, movers));
     let sharpness_change = sharpness_change(&scene.frames);
     let brightness_change = brightness_change(&scene.frames);
     Ok(Survey {
         scene_size,
         depth_range: [near, far],
         movers,
+        track_motion,
         depth,
         sharpness_change,
         blurred: sharpness_change.is_none_or(is_blurred),

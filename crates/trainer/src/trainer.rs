@@ -104,7 +104,7 @@ impl Trainer {
             return Err(SceneProblem::NoFrames.into());
         }
         let inputs = Inputs::of(&scene);
-        let mut survey = survey(&mut scene)?;
+        let mut survey = survey(&mut scene, settings.motion.when)?;
         let device = device.clone().autodiff();
         let dtype = DType::F32;
 
@@ -208,7 +208,7 @@ impl Trainer {
         run.check_scene(&scene)?;
         run.plan.inputs.check(&scene)?;
         // The survey is made again for what it does to the scene's depth, and must agree.
-        let found = survey(&mut scene)?.scene_size;
+        let found = survey(&mut scene, run.plan.settings.motion.when)?.scene_size;
         let trained = run.plan.survey.scene_size;
         if found != trained {
             return Err(OtherScene::OtherSize { found, trained }.into());

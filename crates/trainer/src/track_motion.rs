@@ -1,0 +1,571 @@
+//! Whether what tracks follow moves: something that stands still is seen where the cameras' poses say, for one depth of it or
+//! another, and nothing else is.
+//!
+//! A track is held against all points on the ray that it starts on, within what depth may be off by there, and is as far from
+//! standing still as from the best of them. So it tells what leaves its epipolar lines, and what stays on them but is seen where
+//! another depth would be.
+
+use crate::lifting::{is_sure, position};
+use crate::statistics::median;
+use crate::views::{is_inside, pixel_index};
+use glam::{DAffine3, DVec2, DVec3};
+use io::{Frame, Map, QueryTracks, Scene};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use splat_core::Camera;
+
+/// So many frames are asked for their tracks, evenly spread, …
+const QUERIES: usize = 12;
+/// … and so many tracks of each are looked at.
+const TRACKS_PER_QUERY: usize = 160;
+/// A track is looked at that is seen in so many frames, …
+const SEEN: usize = 5;
+/// … and in this share of them.
+const SEEN_SHARE: f64 = 0.125;
+/// Fewer tracks say too little.
+const ENOUGH: usize = 50;
+/// Given depth, aligned to the points, is off by less than this share.
+const DEPTH_OFF: f64 = 0.25;
+/// Depth is looked up in a window that reaches so far, px of a picture 256 wide.
+const WINDOW: f64 = 2.0;
+/// Inverse depths that are tried at a time, and how often they draw together around the best.
+const TRIED: usize = 12;
+const ROUNDS: usize = 3;
+/// A track's distance is what this share of its positions stays within: trackers are wrong now and then.
+const POSITIONS: f64 = 0.7;
+/// The median length of a vector whose two components are normal, of a standard deviation of 1.
+const MEDIAN_LENGTH: f64 = 1.177;
+/// A track leaves beyond so many times the noise, …
+const NOISES: f64 = 3.0;
+/// … but not within the first of these, px of a picture 256 wide, and always beyond the second: no tracker is off by so much.
+const BAR: [f64; 2] = [1.0, 4.0];
+/// Where fewer than this share of the tracks leave together, nothing moves. Measured in docs/SURVEY.md.
+const FEW: f64 = 0.005;
+/// Side of the cells in which masks and tracks are held against each other, px of a picture 256 wide.
+const CELL: f64 = 8.0;
+/// Tracks are to be near this share of the masks to speak for them.
+const COVERED: f64 = 0.8;
+
+/// What tracks say of whether that which they follow moves: those that start on masks, or all where there are no masks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrackMotion {
+    /// Tracks that were looked at.
+    pub tracks: usize,
+    /// Share of them that leave the place where something that stands still would be seen.
+    pub leaving: f64,
+    /// Share of them that do so, and whose nearest neighbour does so too: trackers' mistakes come alone.
+    pub leaving_together: f64,
+    /// How far from such a place they are, at the median, px.
+    pub distance_px: f64,
+    /// How far that has to be for a track to leave, px.
+    pub bar_px: f64,
+    /// Share of the masks that is near a track; 1 without masks.
+    pub covered: f64,
+}
+
+impl TrackMotion {
+    /// Nothing of what is masked moves, as far as tracks tell.
+    #[must_use]
+    pub fn stands_still(&self) -> bool {
+        self.leaving_together < FEW && self.covered >= COVERED
+    }
+
+    /// Something moves, or the poses are wrong.
+    #[must_use]
+    pub fn moves(&self) -> bool {
+        self.leaving_together >= FEW
+    }
+}
+
+/// How a track goes with a point that stands still.
+struct Fit {
+    /// Where the track starts, px.
+    start: DVec2,
+    /// What [`POSITIONS`] of its positions stay within, px.
+    distance: f64,
+    /// How far each position is from the middle of its neighbours in time, as noise of a position, px.
+    noises: Vec<f64>,
+}
+
+/// What a scene's tracks say; `None` where too few of them are seen often enough. No point is nearer to a camera than `nearest`.
+pub(crate) fn track_motion(scene: &Scene, nearest: f64) -> Option<TrackMotion> {
+    let tracks = scene.tracks.as_ref()?;
+    let n = scene.frames.len();
+    let pixels = scene.frames.first()?.view.camera.width as f64 / 256.0;
+    let queries: Vec<&QueryTracks> = tracks
+        .queries
+        .iter()
+        .filter(|q| q.frame < n && !q.samples.is_empty())
+        .collect();
+    let (mut fits, mut seen) = (Vec::new(), Vec::new());
+    for query in spread(&queries, QUERIES) {
+        let rows: Vec<Vec<Option<DVec2>>> = query
+            .samples
+            .chunks_exact(n)
+            .map(|row| {
+                let frames = scene.frames.iter().zip(row);
+                let seen = frames.map(|(frame, sample)| {
+                    let camera = &frame.view.camera;
+                    let at = position(sample);
+                    (is_sure(sample) && is_inside(camera.width, camera.height, at)).then_some(at)
+                });
+                seen.collect::<Vec<Option<DVec2>>>()
+            })
+            .filter(|row| is_told(scene, query.frame, row))
+            .collect();
+        let rows = spread(&rows, TRACKS_PER_QUERY);
+        let fitted = rows.par_iter().filter_map(|row| {
+            let depths = depths(&scene.frames[query.frame], row[query.frame]?, nearest);
+            fit(scene, query.frame, row, depths)
+        });
+        fits.push(fitted.collect::<Vec<Fit>>());
+        seen.extend(rows.into_iter().cloned());
+    }
+    let all = || fits.iter().flatten();
+    let noises: Vec<f64> = all().flat_map(|f| f.noises.iter().copied()).collect();
+    let count = all().count();
+    if count < ENOUGH || noises.is_empty() {
+        return None;
+    }
+    let noise = median(&noises) / MEDIAN_LENGTH;
+    let bar = (NOISES * noise).clamp(BAR[0] * pixels, BAR[1] * pixels);
+    let leaves = |fit: &Fit| fit.distance > bar;
+    let together = fits.iter().map(|of_query| {
+        let leaving = of_query.iter().enumerate().filter(|(_, f)| leaves(f));
+        let with_neighbour = leaving.filter(|(k, f)| {
+            let others = of_query.iter().enumerate().filter(|(j, _)| j != k);
+            let distance = |other: &Fit| other.start.distance_squared(f.start);
+            let nearest = others.min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+            nearest.is_some_and(|(_, other)| leaves(other))
+        });
+        with_neighbour.count()
+    });
+    let share = |part: usize| part as f64 / count as f64;
+    Some(TrackMotion {
+        tracks: count,
+        leaving: share(all().filter(|f| leaves(f)).count()),
+        leaving_together: share(together.sum()),
+        distance_px: median(&all().map(|f| f.distance).collect::<Vec<f64>>()),
+        bar_px: bar,
+        covered: covered(scene, &seen, CELL * pixels),
+    })
+}
+
+/// At most so many of some things, evenly spread.
+fn spread<T>(all: &[T], most: usize) -> Vec<&T> {
+    let count = all.len().min(most);
+    let chosen = (0..count).map(|k| &all[(2 * k + 1) * all.len() / (2 * count)]);
+    chosen.collect()
+}
+
+/// Whether a track starts on a mask, if there are any, and is seen often enough.
+fn is_told(scene: &Scene, query: usize, row: &[Option<DVec2>]) -> bool {
+    let masks = scene.frames.iter().any(|f| f.mask.is_some());
+    let on_mask = |at: DVec2| {
+        let frame = &scene.frames[query];
+        let pixel = pixel_index(&frame.view.camera, at);
+        frame.mask.as_ref().is_some_and(|m| m.values[pixel] > 0.5)
+    };
+    let least = SEEN.max((SEEN_SHARE * row.len() as f64) as usize);
+    row[query].is_some_and(|at| !masks || on_mask(at)) && row.iter().flatten().count() >= least
+}
+
+/// Least and largest inverse depth that what is seen at a place may have, 1 / scene unit.
+fn depths(frame: &Frame, at: DVec2, nearest: f64) -> [f64; 2] {
+    let around = |map: &Map| {
+        let reach = (WINDOW * map.width as f64 / 256.0).ceil() as usize;
+        let window = |middle: f64, size: usize| {
+            let middle = middle as usize;
+            middle.saturating_sub(reach)..(middle + reach + 1).min(size)
+        };
+        let rows = window(at.y, map.height);
+        let values = rows.flat_map(|y| {
+            window(at.x, map.width).map(move |x| f64::from(map.values[y * map.width + x]))
+        });
+        let known = values.filter(|z| *z > 0.0 && z.is_finite());
+        known.fold([f64::INFINITY, 0.0], |[near, far], z| {
+            [f64::min(near, z), f64::max(far, z)]
+        })
+    };
+    match frame.depth.as_ref().map(around) {
+        Some([near, far]) if far > 0.0 => {
+            [1.0 / (far * (1.0 + DEPTH_OFF)), (1.0 + DEPTH_OFF) / near]
+        }
+        _ => [0.0, 1.0 / nearest],
+    }
+}
+
+/// Holds a track against the points of its ray. `None` where none of them is before all cameras that see the track.
+fn fit(scene: &Scene, query: usize, row: &[Option<DVec2>], depths: [f64; 2]) -> Option<Fit> {
+    let from = &scene.frames[query].view;
+    let start = row[query]?;
+    let ray = from.camera.unproject(start, 1.0);
+    let world_from_query = from.cam_from_world.inverse();
+    let seen: Vec<Seen<'_>> = row
+        .iter()
+        .zip(&scene.frames)
+        .enumerate()
+        .filter_map(|(frame, (at, f))| {
+            let camera_from_query = f.view.cam_from_world * world_from_query;
+            Some(Seen {
+                frame,
+                at: (*at)?,
+                camera: &f.view.camera,
+                ray: camera_from_query.matrix3 * ray,
+                camera_from_query,
+            })
+        })
+        .collect();
+    let [mut least, mut most] = depths;
+    let mut best: Option<(f64, f64)> = None;
+    for _ in 0..ROUNDS {
+        let step = (most - least) / (TRIED - 1) as f64;
+        for k in 0..TRIED {
+            let inverse_depth = least + step * k as f64;
+            let Some(away) = away(&seen, inverse_depth) else {
+                continue;
+            };
+            let distance = typical_length(&away);
+            if best.is_none_or(|(least, _)| distance < least) {
+                best = Some((distance, inverse_depth));
+            }
+        }
+        let (_, middle) = best?;
+        [least, most] = [depths[0].max(middle - step), depths[1].min(middle + step)];
+    }
+    let (distance, inverse_depth) = best?;
+    let away = away(&seen, inverse_depth)?;
+    let noises = seen.windows(3).zip(away.windows(3)).filter_map(|(s, a)| {
+        let are_neighbours = s[0].frame + 2 == s[2].frame;
+        // The second difference of values that are off by 1 is off by √6.
+        are_neighbours.then(|| (a[0] - 2.0 * a[1] + a[2]).length() / 6.0_f64.sqrt())
+    });
+    Some(Fit {
+        start,
+        distance,
+        noises: noises.collect(),
+    })
+}
+
+/// A position of a track, and what it takes to say where a point of the track's first ray would be seen there.
+struct Seen<'a> {
+    frame: usize,
+    at: DVec2,
+    camera: &'a Camera,
+    camera_from_query: DAffine3,
+    /// The ray's direction in this camera's space.
+    ray: DVec3,
+}
+
+/// How far each position of a track is from where the point of its ray at an inverse depth is seen, but for what all positions have
+/// in common, which is what the first one is off by; px. `None` where the point is behind a camera.
+fn away(seen: &[Seen<'_>], inverse_depth: f64) -> Option<Vec<DVec2>> {
+    let away = seen.iter().map(|s| {
+        // The point, divided by its depth: it may be infinitely far.
+        let point = s.ray + inverse_depth * s.camera_from_query.translation;
+        (point.z > 0.0).then(|| s.at - s.camera.project(point))
+    });
+    let mut away = away.collect::<Option<Vec<DVec2>>>()?;
+    let median_of = |axis: fn(&DVec2) -> f64| median(&away.iter().map(axis).collect::<Vec<f64>>());
+    let middle = DVec2::new(median_of(|a| a.x), median_of(|a| a.y));
+    away.iter_mut().for_each(|a| *a -= middle);
+    Some(away)
+}
+
+/// What most of some vectors, of which there is at least one, are no longer than.
+fn typical_length(vectors: &[DVec2]) -> f64 {
+    let mut lengths: Vec<f64> = vectors.iter().map(|v| v.length()).collect();
+    lengths.sort_unstable_by(f64::total_cmp);
+    let rank = (POSITIONS * lengths.len() as f64) as usize;
+    lengths[rank.min(lengths.len() - 1)]
+}
+
+/// The share of the masks' cells that have one of the tracks in them or beside them; 1 where nothing is masked.
+fn covered(scene: &Scene, tracks: &[Vec<Option<DVec2>>], cell: f64) -> f64 {
+    let (mut masked, mut near) = (0_usize, 0_usize);
+    for (k, frame) in scene.frames.iter().enumerate() {
+        let Some(mask) = &frame.mask else { continue };
+        let cell = cell.max(1.0);
+        let columns = (mask.width as f64 / cell).ceil() as usize;
+        let rows = (mask.height as f64 / cell).ceil() as usize;
+        let cell_of = |at: DVec2| ((at.y / cell) as usize, (at.x / cell) as usize);
+        let (mut shown, mut tracked) = (vec![false; rows * columns], vec![false; rows * columns]);
+        for (i, _) in mask.values.iter().enumerate().filter(|(_, v)| **v > 0.5) {
+            let (x, y) = ((i % mask.width) as f64, (i / mask.width) as f64);
+            let (row, column) = cell_of(DVec2::new(x, y));
+            shown[row * columns + column] = true;
+        }
+        for at in tracks.iter().filter_map(|track| track[k]) {
+            let (row, column) = cell_of(at);
+            for y in row.saturating_sub(1)..(row + 2).min(rows) {
+                for x in column.saturating_sub(1)..(column + 2).min(columns) {
+                    tracked[y * columns + x] = true;
+                }
+            }
+        }
+        masked += shown.iter().filter(|s| **s).count();
+        let both = shown.iter().zip(&tracked).filter(|(s, t)| **s && **t);
+        near += both.count();
+    }
+    if masked == 0 {
+        1.0
+    } else {
+        near as f64 / masked as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DMat3, DQuat};
+    use io::{Image, TrackSample, Tracks, TruthFolders, View};
+    use rand::{Rng as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
+    const FRAMES: usize = 12;
+    const WIDTH: usize = 256;
+    const HEIGHT: usize = 144;
+    /// The wall is at z = 4 + 0.3 x.
+    const SLOPE: f64 = 0.3;
+    /// No point is nearer than this.
+    const NEAREST: f64 = 0.4;
+
+    /// What of the inputs is off.
+    #[derive(Clone, Copy)]
+    struct Errors {
+        /// Tracks, standard deviation, px.
+        noise: f64,
+        /// Share of positions that are anywhere, and of those that are said to be hidden and are not, or the other way round.
+        wrong: f64,
+        /// Poses, standard deviation of a turn, px.
+        pose: f64,
+        /// Depth, as a share.
+        depth: f64,
+    }
+
+    const SOME: Errors = Errors {
+        noise: 0.6,
+        wrong: 0.03,
+        pose: 0.5,
+        depth: 0.08,
+    };
+
+    /// From -1 to 1.
+    fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+        (rng.next_u64() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+
+    /// Of a standard deviation of 1.
+    fn normal(rng: &mut ChaCha8Rng) -> f64 {
+        (0..12).map(|_| uniform(rng)).sum::<f64>() / 2.0
+    }
+
+    /// Where a handheld camera is.
+    fn place(t: usize) -> DVec3 {
+        let t = t as f64;
+        DVec3::new(0.06 * t, 0.03 * (1.3 * t).sin(), 0.02 * (0.7 * t).cos())
+    }
+
+    /// The wall, filmed by a camera at `place`, and tracks on a grid in a mask, of points that `moved` has moved by then.
+    fn scene(
+        seed: u64,
+        errors: Errors,
+        place: fn(usize) -> DVec3,
+        moved: impl Fn(DVec3, usize) -> DVec3,
+    ) -> Scene {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let camera = Camera::pinhole([WIDTH, HEIGHT], [213.0; 2], [128.0, 72.0]);
+        let turn = |t: usize| DMat3::from_rotation_y(0.01 * (0.9 * t as f64).sin());
+        let cam_from_world =
+            |t: usize| DAffine3::from_mat3(turn(t)) * DAffine3::from_translation(-place(t));
+        // The wall's point that a pixel sees, in the world.
+        let wall = |at: DVec2, t: usize| {
+            let (from, ray) = (place(t), turn(t).transpose() * camera.unproject(at, 1.0));
+            let along = (4.0 + SLOPE * from.x - from.z) / (ray.z - SLOPE * ray.x);
+            from + along * ray
+        };
+        let frames = (0..FRAMES).map(|t| {
+            let pixels = (0..WIDTH * HEIGHT).map(|i| {
+                let (x, y) = ((i % WIDTH) as f64 + 0.5, (i / WIDTH) as f64 + 0.5);
+                let z = cam_from_world(t)
+                    .transform_point3(wall(DVec2::new(x, y), t))
+                    .z;
+                let wave = (0.05 * x + 2.3 * t as f64).sin() * (0.04 * y - 1.1 * t as f64).cos();
+                (z * (1.0 + errors.depth * wave)) as f32
+            });
+            let masked = |i: usize| is_masked(DVec2::new((i % WIDTH) as f64, (i / WIDTH) as f64));
+            let mask = (0..WIDTH * HEIGHT).map(|i| f32::from(u8::from(masked(i))));
+            let map = |values| Map {
+                width: WIDTH,
+                height: HEIGHT,
+                values,
+            };
+            let off = errors.pose / 213.0;
+            let turned = DQuat::from_rotation_y(off * normal(&mut rng))
+                * DQuat::from_rotation_x(off * normal(&mut rng));
+            Frame {
+                view: View {
+                    name: format!("{t}"),
+                    camera: camera.clone(),
+                    cam_from_world: DAffine3::from_quat(turned) * cam_from_world(t),
+                    time: t as f32,
+                    image: Image {
+                        width: WIDTH,
+                        height: HEIGHT,
+                        pixels: Vec::new(),
+                    },
+                },
+                depth: Some(map(pixels.collect())),
+                mask: Some(map(mask.collect())),
+            }
+        });
+        let frames: Vec<Frame> = frames.collect();
+        let mut sample = |at: DVec2| {
+            let mut at = at + errors.noise * DVec2::new(normal(&mut rng), normal(&mut rng));
+            if uniform(&mut rng).abs() < errors.wrong {
+                at += 30.0 * DVec2::new(uniform(&mut rng), uniform(&mut rng));
+            }
+            let hidden = uniform(&mut rng).abs() < errors.wrong;
+            TrackSample {
+                x: at.x as f32,
+                y: at.y as f32,
+                occlusion: if hidden { 5.0 } else { -5.0 },
+                expected_distance: -5.0,
+            }
+        };
+        let queries = (0..FRAMES).map(|query| {
+            let grid = (0..HEIGHT / 8).flat_map(|y| (0..WIDTH / 8).map(move |x| (x, y)));
+            let starts = grid.map(|(x, y)| 8.0 * DVec2::new(x as f64, y as f64) + 4.0);
+            let starts = starts.filter(|at| is_masked(*at));
+            let samples = starts.flat_map(|start| {
+                let point = wall(start, query);
+                let seen = (0..FRAMES).map(|t| {
+                    let now = point + moved(point, t) - moved(point, query);
+                    camera.project(cam_from_world(t).transform_point3(now))
+                });
+                seen.collect::<Vec<DVec2>>()
+            });
+            QueryTracks {
+                frame: query,
+                samples: samples.map(&mut sample).collect(),
+            }
+        });
+        let queries = queries.collect();
+        Scene {
+            root: std::path::PathBuf::new(),
+            name: "wall".to_owned(),
+            layout: "made here",
+            downscale: 1,
+            frames,
+            test: Vec::new(),
+            points: Vec::new(),
+            tracks: Some(Tracks {
+                num_frames: FRAMES,
+                queries,
+            }),
+            undistorted: Vec::new(),
+            truth_folders: TruthFolders::default(),
+            notes: Vec::new(),
+        }
+    }
+
+    fn is_masked(at: DVec2) -> bool {
+        (40.0..216.0).contains(&at.x) && (24.0..120.0).contains(&at.y)
+    }
+
+    fn told(scene: &Scene) -> TrackMotion {
+        track_motion(scene, NEAREST).expect("tracks enough")
+    }
+
+    #[test]
+    fn what_stands_still_is_told_whatever_is_a_bit_off() {
+        let none = Errors {
+            noise: 0.0,
+            wrong: 0.0,
+            pose: 0.0,
+            depth: 0.0,
+        };
+        let coarse = Errors { pose: 1.2, ..SOME };
+        let lost = Errors {
+            wrong: 0.06,
+            ..SOME
+        };
+        for (k, errors) in [none, SOME, coarse, lost].into_iter().enumerate() {
+            for seed in 0..3 {
+                let found = told(&scene(seed, errors, place, |_, _| DVec3::ZERO));
+                assert!(found.stands_still() && !found.moves(), "{k}: {found:?}");
+                assert!(found.leaving < 0.05, "{k}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_moves_across_or_along_its_epipolar_lines_is_told() {
+        let across = |_: DVec3, t: usize| DVec3::new(0.0, 0.03 * t as f64, 0.0);
+        // As far as most of what the camera goes: it stays on its epipolar lines, and is seen where what is far away would be.
+        let along = |_: DVec3, t: usize| 0.8 * place(t);
+        for seed in 0..3 {
+            let found = told(&scene(seed, SOME, place, across));
+            assert!(found.moves() && found.leaving > 0.9, "across: {found:?}");
+            let mut scene = scene(seed, SOME, place, along);
+            let found = told(&scene);
+            assert!(found.moves() && found.leaving > 0.9, "along: {found:?}");
+            // Which depth alone can tell.
+            scene.frames.iter_mut().for_each(|f| f.depth = None);
+            assert!(!told(&scene).moves(), "{:?}", told(&scene));
+        }
+    }
+
+    #[test]
+    fn a_camera_that_only_turns_tells_what_moves_too() {
+        let here = |_: usize| DVec3::ZERO;
+        assert!(told(&scene(1, SOME, here, |_, _| DVec3::ZERO)).stands_still());
+        let sways = |_: DVec3, t: usize| DVec3::new(0.3 * (0.6 * t as f64).sin(), 0.0, 0.0);
+        assert!(told(&scene(1, SOME, here, sways)).moves());
+    }
+
+    #[test]
+    fn a_small_mover_among_what_stands_still_is_told() {
+        // A disc of about a fiftieth of what is masked, which rises.
+        let disc = |point: DVec3, t: usize| {
+            let near = (point.x - 0.3).powi(2) + point.y.powi(2) < 0.04;
+            DVec3::new(0.0, if near { 0.05 * t as f64 } else { 0.0 }, 0.0)
+        };
+        for seed in 0..3 {
+            let found = told(&scene(seed, SOME, place, disc));
+            assert!(found.moves() && found.leaving < 0.1, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn too_few_tracks_tell_nothing_and_those_of_a_part_do_not_speak_for_all() {
+        let still = |_: DVec3, _: usize| DVec3::ZERO;
+        let whole = scene(1, SOME, place, still);
+        let queries = |scene: &mut Scene, change: &dyn Fn(&mut QueryTracks)| {
+            let tracks = scene.tracks.as_mut().expect("tracks");
+            tracks.queries.iter_mut().for_each(change);
+        };
+        let mut few = whole.clone();
+        queries(&mut few, &|q: &mut QueryTracks| {
+            q.samples.truncate(4 * FRAMES);
+        });
+        assert_eq!(track_motion(&few, NEAREST), None);
+        let mut short = whole.clone();
+        queries(&mut short, &|q: &mut QueryTracks| {
+            let rows = q.samples.chunks_exact_mut(FRAMES);
+            rows.for_each(|row| row[4..].iter_mut().for_each(|s| s.occlusion = 5.0));
+        });
+        assert_eq!(track_motion(&short, NEAREST), None);
+        let mut without = whole.clone();
+        without.tracks = None;
+        assert_eq!(track_motion(&without, NEAREST), None);
+        // The upper third of the mask alone has tracks.
+        let mut part = whole.clone();
+        queries(&mut part, &|q: &mut QueryTracks| {
+            q.samples.truncate(q.samples.len() / 3);
+        });
+        let found = told(&part);
+        assert!(!found.stands_still() && !found.moves(), "{found:?}");
+        assert!(told(&whole).covered > 0.95);
+    }
+}
