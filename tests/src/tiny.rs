@@ -126,20 +126,12 @@ pub fn scene() -> Scene {
         }
     });
     Scene {
-        root: std::env::temp_dir(),
-        name: "tiny".to_owned(),
-        layout: "made here",
-        downscale: 1,
-        frames: frames.collect(),
         test: (0..FRAMES).map(|i| view(i, 0.0)).collect(),
-        points: Vec::new(),
         tracks: Some(Tracks {
             num_frames: FRAMES,
             queries: queries.collect(),
         }),
-        undistorted: Vec::new(),
-        truth_folders: io::TruthFolders::default(),
-        notes: Vec::new(),
+        ..Scene::of_frames(frames.collect())
     }
 }
 

@@ -7,7 +7,7 @@ use io::{Frame, Image, Map, Scene, View};
 use limpid_tests::{noise, quick_devices, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
 use trainer::settings::BlurKind;
-use trainer::{BlurFigures, BlurModel, Settings, Trainer};
+use trainer::{BlurFigures, BlurModel, CameraFigures, Settings, Trainer};
 
 const FRAMES: usize = 6;
 const SIZE: f64 = 4.0;
@@ -17,11 +17,17 @@ const FOCUS: [f64; FRAMES] = [1.6, 1.5, 1.0, 1.6, 1.3, 1.6];
 /// Pictures of the wall by a camera that shakes by so many rad in an exposure, with such an aperture (scene sizes), and hunts for
 /// its focus.
 fn scene(shake: f64, aperture: f64, device: &Device) -> Scene {
+    filmed(&[0.0; FRAMES], shake, aperture, device)
+}
+
+/// The same, a frame for each number of `drift`, by so many px to the right of where its given pose is.
+fn filmed(drift: &[f64], shake: f64, aperture: f64, device: &Device) -> Scene {
+    let frames = drift.len();
     let splats = wall::splats(device);
     let f32s = |values: &[f64], shape| tensor(values, shape, device, DType::F32);
-    let mut capture = Capture::still(FRAMES, 2, (device, DType::F32));
-    let directions = noise(2 * FRAMES, 5);
-    let mut paths = vec![0.0; 12 * FRAMES];
+    let mut capture = Capture::still(frames, 2, (device, DType::F32));
+    let directions = noise(2 * frames, 5);
+    let mut paths = vec![0.0; 12 * frames];
     for (frame, path) in paths.chunks_exact_mut(12).enumerate() {
         // Some frames are sharper than others, as in every shaken video.
         let length = shake * (0.4 + 0.3 * (frame % 3) as f64);
@@ -29,13 +35,15 @@ fn scene(shake: f64, aperture: f64, device: &Device) -> Scene {
         let norm = x.hypot(y).max(1e-3);
         path[..2].copy_from_slice(&[length * x / norm, length * y / norm]);
     }
-    capture.paths = f32s(&paths, [FRAMES, 12]);
+    capture.paths = f32s(&paths, [frames, 12]);
     capture.aperture = f32s(&[aperture], [1, 1]);
-    capture.focus = f32s(&FOCUS, [FRAMES, 1]);
+    let focus: Vec<f64> = FOCUS.into_iter().cycle().take(frames).collect();
+    capture.focus = f32s(&focus, [frames, 1]);
 
     let camera = Camera::pinhole([56, 40], [60.0; 2], [28.0, 20.0]);
     let frame = |index: usize| {
-        let center = DVec3::new(0.08 * index as f64 - 0.2, 0.02 * index as f64, 0.0);
+        let along = index as f64 * FRAMES as f64 / frames as f64;
+        let center = DVec3::new(0.08 * along - 0.2, 0.02 * along, 0.0);
         let cam_from_world = DAffine3::from_translation(-center);
         let pose = f32s(&pose_rows(&cam_from_world), [3, 4]);
         let view = Viewpoint {
@@ -60,7 +68,7 @@ fn scene(shake: f64, aperture: f64, device: &Device) -> Scene {
             view: View {
                 name: format!("{index:05}"),
                 camera: camera.clone(),
-                cam_from_world,
+                cam_from_world: DAffine3::from_rotation_y(-drift[index] / 60.0) * cam_from_world,
                 time: index as f32,
                 image: image(taken.color),
             },
@@ -72,29 +80,22 @@ fn scene(shake: f64, aperture: f64, device: &Device) -> Scene {
             mask: None,
         }
     };
-    Scene {
-        root: std::env::temp_dir(),
-        name: "wall".to_owned(),
-        layout: "made here",
-        downscale: 1,
-        frames: (0..FRAMES).map(frame).collect(),
-        test: Vec::new(),
-        points: Vec::new(),
-        tracks: None,
-        undistorted: Vec::new(),
-        truth_folders: io::TruthFolders::default(),
-        notes: Vec::new(),
-    }
+    Scene::of_frames((0..frames).map(frame).collect())
 }
 
 /// A run behind its first trial, and what was decided there.
 fn trained(shake: f64, aperture: f64, model: BlurKind, device: &Device) -> (Trainer, Vec<String>) {
+    let settings = settings(3000, model);
+    behind_first_trial(scene(shake, aperture, device), settings, device)
+}
+
+fn settings(iterations: usize, model: BlurKind) -> Settings {
     let mut settings = Settings {
-        iterations: 3000,
+        iterations,
         ..Settings::default()
     };
     settings.blur.model = model;
-    behind_first_trial(scene(shake, aperture, device), settings, device)
+    settings
 }
 
 fn behind_first_trial(scene: Scene, settings: Settings, device: &Device) -> (Trainer, Vec<String>) {
@@ -105,6 +106,13 @@ fn behind_first_trial(scene: Scene, settings: Settings, device: &Device) -> (Tra
         decided.extend(trainer.step().expect("a step").decided);
     }
     (trainer, decided)
+}
+
+fn camera_figures(trainer: &Trainer) -> CameraFigures {
+    match trainer.evaluate().expect("scores").blur {
+        Some(BlurFigures::Camera(figures)) => figures,
+        other => panic!("not the camera's figures: {other:?}"),
+    }
 }
 
 fn has_both(trainer: &Trainer) -> bool {
@@ -158,18 +166,12 @@ fn a_run_that_was_interrupted_behind_the_decision_goes_on_with_the_same_bits() {
 #[test]
 fn before_a_lens_goes_its_focus_is_tried_out() {
     for (name, device) in quick_devices() {
-        let mut settings = Settings {
-            iterations: 200,
-            ..Settings::default()
-        };
-        settings.blur.model = BlurKind::Camera;
+        let mut settings = settings(200, BlurKind::Camera);
         settings.camera.path = false;
         settings.camera.aperture = 0.09;
         settings.learning_rates.camera_focus = 0.0;
         let (trainer, _) = behind_first_trial(scene(0.0, 0.06, &device), settings, &device);
-        let Some(BlurFigures::Camera(figures)) = trainer.evaluate().expect("scores").blur else {
-            panic!("{name}: the camera's figures");
-        };
+        let figures = camera_figures(&trainer);
         assert!(figures.aperture > 0.0, "{name}: the lens is gone");
         let size = trainer.survey().scene_size;
         let off = |found: f64, truth: f64| (found * SIZE / size - truth).abs();
@@ -182,5 +184,23 @@ fn before_a_lens_goes_its_focus_is_tried_out() {
             found < 0.8 * before,
             "{name}: {found} of {before}, {figures:?}"
         );
+    }
+}
+
+/// Frames that are not where their poses say have paths to be there on average, though nothing is blurred.
+#[test]
+fn a_scene_that_drifts_has_no_paths_for_it() {
+    const LONG: usize = 16;
+    let wave = |i: usize| (2.0 * std::f64::consts::PI * (i as f64 + 0.5) / LONG as f64).cos();
+    let drift: Vec<f64> = (0..LONG).map(|i| 0.8 * wave(i)).collect();
+    for (name, device) in quick_devices() {
+        for (shake, moves) in [(0.0, false), (0.12, true)] {
+            let scene = filmed(&drift, shake, 0.0, &device);
+            let settings = settings(3000, BlurKind::Camera);
+            let (trainer, _) = behind_first_trial(scene, settings, &device);
+            let figures = camera_figures(&trainer);
+            let moving = figures.frames.iter().any(|frame| frame.blur_px > 0.0);
+            assert_eq!(moving, moves, "{name}, {shake}: {figures:?}");
+        }
     }
 }

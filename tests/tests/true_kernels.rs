@@ -193,17 +193,8 @@ fn scene(folder: &Path, device: &Device) -> Scene {
         }
     };
     Scene {
-        root: folder.to_owned(),
-        name: "wall".to_owned(),
-        layout: "made here",
-        downscale: 1,
-        frames: (0..FRAMES).map(frame).collect(),
-        test: Vec::new(),
-        points: Vec::new(),
-        tracks: None,
-        undistorted: Vec::new(),
         truth_folders: folders.clone(),
-        notes: Vec::new(),
+        ..Scene::of_frames((0..FRAMES).map(frame).collect())
     }
 }
 

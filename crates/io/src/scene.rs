@@ -134,3 +134,23 @@ pub struct Scene {
     /// What was resized, ignored or skipped, one sentence each, for the program to print.
     pub notes: Vec<String>,
 }
+
+impl Scene {
+    /// A scene of frames that are in memory, in time order, and of nothing else: what else is known is added to it.
+    #[must_use]
+    pub fn of_frames(frames: Vec<Frame>) -> Self {
+        Self {
+            root: PathBuf::new(),
+            name: "scene".to_owned(),
+            layout: "in memory",
+            downscale: 1,
+            frames,
+            test: Vec::new(),
+            points: Vec::new(),
+            tracks: None,
+            undistorted: Vec::new(),
+            truth_folders: TruthFolders::default(),
+            notes: Vec::new(),
+        }
+    }
+}

@@ -68,7 +68,7 @@ impl Corrections {
         };
         if let Some(offsets) = &self.offsets {
             let options = (&offsets.device(), offsets.dtype());
-            let given = pose_tensor(&look.viewpoint.cam_from_world, options);
+            let given = look.cam_from_world(options);
             let moved = moved(row(offsets, frame), &given, self.scene_size);
             look.pose = Some(moved.reshape([3, 4]));
         }

@@ -1,9 +1,9 @@
 //! Looking at the world: where from, and what comes of it.
 
 use crate::TrainError;
-use crate::views::{CameraView, ViewRef};
+use crate::views::{CameraView, ViewRef, pose_tensor};
 use crate::world::{Posed, World};
-use burn::tensor::Tensor;
+use burn::tensor::{DType, Device, Tensor};
 use splat_core::{Extra, Rendered, Splats, Viewpoint, render};
 use tracing::trace_span;
 
@@ -39,6 +39,12 @@ impl Look<'_> {
             viewpoint.cam_from_world = pose.clone();
         }
         viewpoint
+    }
+
+    /// Its pose, [3, 4].
+    pub(crate) fn cam_from_world(&self, options: (&Device, DType)) -> Tensor<2> {
+        let given = || pose_tensor(&self.viewpoint.cam_from_world, options);
+        self.pose.clone().unwrap_or_else(given)
     }
 
     /// A picture as bright as the frame is.

@@ -306,26 +306,10 @@ mod tests {
         (frame, exposure)
     }
 
-    fn scene(frame: Frame) -> Scene {
-        Scene {
-            root: std::env::temp_dir(),
-            name: "wall".to_owned(),
-            layout: "made here",
-            downscale: 1,
-            frames: vec![frame],
-            test: Vec::new(),
-            points: Vec::new(),
-            tracks: None,
-            undistorted: Vec::new(),
-            truth_folders: io::TruthFolders::default(),
-            notes: Vec::new(),
-        }
-    }
-
     /// The scores of a model that says that the kernel of each pixel is `found`.
     fn scored(shifts: &[f64], found: &[f64]) -> KernelScores {
         let (frame, exposure) = frame(shifts);
-        let (scene, exposures) = (scene(frame), [exposure]);
+        let (scene, exposures) = (Scene::of_frames(vec![frame]), [exposure]);
         let mut kernels = TrueKernels::of(&scene, Some(&exposures)).expect("kernels");
         let camera = &scene.frames[0].view.camera;
         let cameras = self::frame(found).1.cameras;

@@ -2,6 +2,7 @@
 //! lens, each a render of the sharp scene.
 
 mod account;
+mod drift;
 mod taken;
 mod trials;
 

@@ -134,22 +134,12 @@ fn scene(
             samples: samples.map(&mut sample).collect(),
         }
     });
-    let queries = queries.collect();
     Scene {
-        root: std::path::PathBuf::new(),
-        name: "wall".to_owned(),
-        layout: "made here",
-        downscale: 1,
-        frames,
-        test: Vec::new(),
-        points: Vec::new(),
         tracks: Some(Tracks {
             num_frames: FRAMES,
-            queries,
+            queries: queries.collect(),
         }),
-        undistorted: Vec::new(),
-        truth_folders: TruthFolders::default(),
-        notes: Vec::new(),
+        ..Scene::of_frames(frames)
     }
 }
 

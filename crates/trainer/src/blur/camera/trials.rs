@@ -2,13 +2,14 @@
 //! run every frame tries others, with the Gaussians as they are, and keeps what explains it best.
 
 use super::CameraBlur;
+use super::drift::drift;
 use crate::TrainError;
 use crate::look::{Look, render_posed};
 use crate::statistics::median;
 use crate::tensors::{constant, host, leaf, tensor};
 use crate::world::World;
 use burn::tensor::Tensor;
-use capture::{Capture, RIGID};
+use capture::{RIGID, moved};
 use std::fmt;
 use tracing::trace_span;
 
@@ -194,6 +195,8 @@ impl CameraBlur {
 
     /// Leaves the lens out if it does not pay, also with each frame in better focus, and then all paths if they do not; returns
     /// the frames' errors with what stays, and what share of the error lens and paths are worth.
+    ///
+    /// Paths are worth what they explain beyond a camera without them that drifts as they do.
     fn try_parts(
         &mut self,
         world: &World,
@@ -201,44 +204,33 @@ impl CameraBlur {
     ) -> Result<(Vec<f64>, Worth), TrainError> {
         let now = self.errors(world, looks)?;
         let own = self.capture.clone();
-        let (mut left, mut lens) =
-            self.try_without(|c| &mut c.aperture, world, looks, now.clone())?;
-        if !pays(lens) && host(own.aperture.clone()) != [0.0] {
-            self.capture.aperture = own.aperture;
-            let focused = self.try_focuses(world, looks, &now)?;
-            let worth = total(&left) / total(&focused) - 1.0;
-            if worth > FOCUSED_LENS_PAYS {
-                (left, lens) = (focused, worth);
-            } else {
-                self.capture.aperture = self.capture.aperture.zeros_like();
-                self.capture.focus = own.focus;
+        let (mut left, mut lens) = (now, 0.0);
+        if is_there(&own.aperture) {
+            self.capture.aperture = own.aperture.zeros_like();
+            let without = self.errors(world, looks)?;
+            lens = share_more(&without, &left);
+            self.capture.aperture = own.aperture.clone();
+            if !pays(lens) {
+                let focused = self.try_focuses(world, looks, &left)?;
+                let worth = share_more(&without, &focused);
+                if worth > FOCUSED_LENS_PAYS {
+                    (left, lens) = (focused, worth);
+                } else {
+                    self.capture.aperture = own.aperture.zeros_like();
+                    self.capture.focus = own.focus;
+                    left = without;
+                }
             }
         }
-        let (left, paths) = self.try_without(|c| &mut c.paths, world, looks, left)?;
+        let mut paths = 0.0;
+        if is_there(&own.paths) {
+            paths = share_more(&self.errors_without_paths(world, looks)?, &left);
+            if !pays(paths) {
+                self.capture.paths = own.paths.zeros_like();
+                left = self.errors(world, looks)?;
+            }
+        }
         Ok((left, Worth { lens, paths }))
-    }
-
-    /// Leaves a part out if it does not pay; takes the frames' errors as it is, and returns them with what stays, and what share
-    /// of the error the part is worth.
-    fn try_without(
-        &mut self,
-        part: fn(&mut Capture) -> &mut Tensor<2>,
-        world: &World,
-        looks: &[Look<'_>],
-        now: Vec<f64>,
-    ) -> Result<(Vec<f64>, f64), TrainError> {
-        let own = part(&mut self.capture).clone();
-        if host(own.clone()).iter().all(|value| *value == 0.0) {
-            return Ok((now, 0.0));
-        }
-        *part(&mut self.capture) = own.zeros_like();
-        let without = self.errors(world, looks)?;
-        let worth = total(&without) / total(&now) - 1.0;
-        if !pays(worth) {
-            return Ok((without, worth));
-        }
-        *part(&mut self.capture) = own;
-        Ok((now, worth))
     }
 
     /// Leaves on every frame the distance of focus that explains it best, of its own and of some between which the scene lies;
@@ -289,6 +281,28 @@ impl CameraBlur {
         Ok(best.0)
     }
 
+    /// The error of every frame without paths, from where they have drifted to.
+    fn errors_without_paths(
+        &self,
+        world: &World,
+        looks: &[Look<'_>],
+    ) -> Result<Vec<f64>, TrainError> {
+        let drift = drift(self.capture.mean_motions());
+        let mut without = self.clone();
+        without.capture.paths = self.capture.paths.zeros_like();
+        let options = (&drift.device(), drift.dtype());
+        let error = |(frame, look): (usize, &Look<'_>)| {
+            let given = look.cam_from_world(options);
+            let drifted = moved(drift.clone().narrow(0, frame, 1), &given, self.scene_size);
+            let look = Look {
+                pose: Some(drifted.reshape([3, 4])),
+                ..look.clone()
+            };
+            without.error(world, &look)
+        };
+        looks.iter().enumerate().map(error).collect()
+    }
+
     /// The error of every frame.
     fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
         looks.iter().map(|look| self.error(world, look)).collect()
@@ -331,6 +345,15 @@ fn set_row(table: &mut Tensor<2>, row: usize, values: &[f32]) {
 
 fn total(errors: &[f64]) -> f64 {
     errors.iter().sum()
+}
+
+fn is_there(part: &Tensor<2>) -> bool {
+    host(part.clone()).iter().any(|number| *number != 0.0)
+}
+
+/// By what share the errors of all frames together are larger than others.
+fn share_more(errors: &[f64], others: &[f64]) -> f64 {
+    total(errors) / total(others) - 1.0
 }
 
 /// Paths whose coefficients of s^(k + 1) go in eight directions, so many times `length` (rad), and that are otherwise as
