@@ -219,7 +219,11 @@ mod tests {
             blur_moments: Vec::new(),
             ..all(40_000)
         };
-        let sharp = Schedule::new(&Settings::default(), 24, modelled);
+        let settings = Settings {
+            iterations: 40_000,
+            ..Settings::default()
+        };
+        let sharp = Schedule::new(&settings, 24, modelled);
         let resets: Vec<usize> = (1..=40_000)
             .filter(|&it| sharp.resets_opacity(it))
             .collect();

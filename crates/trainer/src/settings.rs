@@ -48,7 +48,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            iterations: 40_000,
+            iterations: 10_000,
             seed: 1,
             gaussians: GaussianSettings::default(),
             motion: MotionSettings::default(),
@@ -397,12 +397,15 @@ impl Default for LearningRates {
 }
 
 impl Settings {
-    /// The paper's text where it differs from the defaults: kernels in the place of the camera; movers wherever masks show some;
+    /// The paper's text where it differs from the defaults: 40,000 iterations; kernels in the place of the camera; movers wherever masks show some;
     /// no loss on fine detail or shifts; motion and blur learn at constant rates, no hold, no gauge, the blur model's head as a
     /// framework initialises it (the paper says nothing about it).
     #[must_use]
     pub fn paper() -> Self {
-        let mut settings = Self::default();
+        let mut settings = Self {
+            iterations: 40_000,
+            ..Self::default()
+        };
         settings.learning_rates.motion_final_share = 1.0;
         settings.learning_rates.blur_final_share = 1.0;
         settings.learning_rates.blur_short_run_share = 1.0;

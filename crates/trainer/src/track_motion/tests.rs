@@ -2,7 +2,7 @@
 
 use super::*;
 use glam::{DMat3, DQuat};
-use io::{Image, TrackSample, Tracks, TruthFolders, View};
+use io::{Image, TrackSample, Tracks, View};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
