@@ -340,6 +340,30 @@ fn dynamic_densification_finds_room_under_the_limit() {
     );
 }
 
+/// Warping blurs a frame once more, which kernels explain and nothing else does.
+#[test]
+fn unseen_views_stand_beside_kernels_alone_where_nothing_is_said() {
+    for (model, has) in [
+        (BlurKind::Off, false),
+        (BlurKind::Kernels, true),
+        (BlurKind::Camera, false),
+        (BlurKind::Both, false),
+    ] {
+        for (when, has) in [
+            (When::Auto, has),
+            (When::Always, true),
+            (When::Never, false),
+        ] {
+            let mut settings = settings();
+            settings.blur.model = model;
+            settings.unseen.when = when;
+            let trainer = Trainer::new(scene(), settings, &Device::flex()).expect("a trainer");
+            let shown = trainer.schedule().unseen_from.is_some();
+            assert_eq!(shown, has, "{model:?}, {when:?}");
+        }
+    }
+}
+
 #[test]
 fn a_static_scene_without_blur_models_neither() {
     let still = still_scene();

@@ -225,8 +225,8 @@ pub struct FrameSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnseenSettings {
-    /// When unseen views are used: by default unless the camera explains blur, since warping blurs a frame once more, which no
-    /// camera did.
+    /// When unseen views are used: by default where kernels explain blur by themselves, since warping blurs a frame once more, which
+    /// no camera did.
     pub when: When,
     /// Unseen views start after this iteration (of 40,000).
     pub from: usize,

@@ -23,7 +23,7 @@ pub(crate) fn unseen_views(
     scene_size: f64,
     learned: &[Vec<bool>],
 ) -> Result<Vec<UnseenView>, TrainError> {
-    let required = !matches!(blur, BlurModel::Camera(_) | BlurModel::Both(_));
+    let required = matches!(blur, BlurModel::Kernels(_));
     if !settings.unseen.when.holds(required) {
         return Ok(Vec::new());
     }
