@@ -67,10 +67,7 @@ impl Corrections {
             return look;
         };
         if let Some(offsets) = &self.offsets {
-            let options = (&offsets.device(), offsets.dtype());
-            let given = look.cam_from_world(options);
-            let moved = moved(row(offsets, frame), &given, self.scene_size);
-            look.pose = Some(moved.reshape([3, 4]));
+            look = look.moved(row(offsets, frame), self.scene_size);
         }
         look.gain = self.gains.as_ref().map(|gains| row(gains, frame).exp());
         look

@@ -39,6 +39,7 @@ mod brightness;
 mod changes;
 mod checkpoint;
 mod checksum;
+mod columns;
 mod corrections;
 mod correspondence;
 mod coverage;

@@ -4,6 +4,7 @@ use crate::TrainError;
 use crate::views::{CameraView, ViewRef, pose_tensor};
 use crate::world::{Posed, World};
 use burn::tensor::{DType, Device, Tensor};
+use capture::moved;
 use splat_core::{Extra, Rendered, Splats, Viewpoint, render};
 use tracing::trace_span;
 
@@ -29,20 +30,26 @@ pub(crate) struct Look<'a> {
 impl Look<'_> {
     /// Its viewpoint as the renderer takes it.
     pub(crate) fn viewpoint_of(&self, splats: &Splats) -> Viewpoint {
-        let CameraView {
-            camera,
-            cam_from_world,
-            ..
-        } = self.viewpoint;
-        let mut viewpoint = Viewpoint::new(camera, cam_from_world, self.sh_degree, splats);
-        if let Some(pose) = &self.pose {
-            viewpoint.cam_from_world = pose.clone();
+        let means = &splats.means;
+        Viewpoint {
+            camera: self.viewpoint.camera.clone(),
+            cam_from_world: self.cam_from_world((&means.device(), means.dtype())),
+            sh_degree: self.sh_degree,
         }
-        viewpoint
+    }
+
+    /// The same from behind a rigid motion [1, 6] in the camera's axes: a turn (rad), and a translation in units of `size`.
+    pub(crate) fn moved(&self, motion: Tensor<2>, size: f64) -> Self {
+        let given = self.cam_from_world((&motion.device(), motion.dtype()));
+        let pose = moved(motion, &given, size).reshape([3, 4]);
+        Self {
+            pose: Some(pose),
+            ..self.clone()
+        }
     }
 
     /// Its pose, [3, 4].
-    pub(crate) fn cam_from_world(&self, options: (&Device, DType)) -> Tensor<2> {
+    fn cam_from_world(&self, options: (&Device, DType)) -> Tensor<2> {
         let given = || pose_tensor(&self.viewpoint.cam_from_world, options);
         self.pose.clone().unwrap_or_else(given)
     }

@@ -1,7 +1,8 @@
 //! What shifts of frames in the image cannot be told from a scene that lies elsewhere: that is the scene's.
 
+use crate::columns::Columns;
 use crate::views::CameraView;
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Tensor};
 use glam::DVec3;
 use splat_core::camera_center;
 
@@ -11,20 +12,13 @@ pub(crate) struct SceneShift {
     places: Vec<[f64; 2]>,
 }
 
-/// What numbers of the frames that count show if the scene lies elsewhere. It is a sum of a few known columns, orthonormal, so
-/// that two small products find it.
+/// What numbers of the frames that count show if the scene lies elsewhere: a sum of a few known columns.
 #[derive(Clone, Debug)]
 pub(crate) struct Shared {
     /// Of shifts of N frames, one below the other: [2 N, 3].
     shifts: Columns,
     /// Of any number of N frames: [N, 3].
     trends: Columns,
-}
-
-#[derive(Clone, Debug)]
-struct Columns {
-    columns: Tensor<2>,
-    transposed: Tensor<2>,
 }
 
 impl SceneShift {
@@ -67,8 +61,8 @@ impl SceneShift {
             interleaved(&right, &down),
         ];
         Shared {
-            shifts: Columns::spanning(shifts, options),
-            trends: Columns::spanning([ones, right, down], options),
+            shifts: Columns::spanning(shifts.to_vec(), options),
+            trends: Columns::spanning(vec![ones, right, down], options),
         }
     }
 }
@@ -89,54 +83,10 @@ impl Shared {
     }
 }
 
-/// A column of which no more than this share of its square is left beside the others, or no more than this at all, is none.
-const LEAST: f64 = 1e-12;
-
-impl Columns {
-    /// An orthonormal basis of what columns span, in the place of each one; 0 where it adds nothing.
-    fn spanning(columns: [Vec<f64>; 3], (device, dtype): (&Device, DType)) -> Self {
-        let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
-        let mut basis: Vec<Vec<f64>> = Vec::new();
-        for mut column in columns {
-            let whole = dot(&column, &column);
-            for other in &basis {
-                let along = dot(&column, other);
-                column
-                    .iter_mut()
-                    .zip(other)
-                    .for_each(|(value, other)| *value -= along * other);
-            }
-            let left = dot(&column, &column);
-            let scale = if left > LEAST * whole.max(1.0) {
-                left.sqrt().recip()
-            } else {
-                0.0
-            };
-            column.iter_mut().for_each(|value| *value *= scale);
-            basis.push(column);
-        }
-        let shape = [basis.len(), basis[0].len()];
-        let transposed = TensorData::new(basis.concat(), shape);
-        let transposed = Tensor::<2>::from_data(transposed, (device, dtype)).inner();
-        let [count, rows] = shape;
-        let columns = (0..rows).flat_map(|row| basis.iter().map(move |column| column[row]));
-        let columns = TensorData::new(columns.collect::<Vec<f64>>(), [rows, count]);
-        Self {
-            columns: Tensor::<2>::from_data(columns, (device, dtype)).inner(),
-            transposed,
-        }
-    }
-
-    /// What of values [M, C] they span.
-    fn part_of(&self, values: Tensor<2>) -> Tensor<2> {
-        let parts = self.transposed.clone().matmul(values);
-        self.columns.clone().matmul(parts)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use burn::tensor::TensorData;
     use glam::{DAffine3, DQuat};
     use splat_core::Camera;
 

@@ -2,7 +2,7 @@
 //! frame; where means swing slowly, the scene has gone with them, and paths explain its place and no blur (RESULTS.md, "A real scene
 //! that drifts").
 
-use crate::tensors::tensor;
+use crate::columns::Columns;
 use burn::tensor::Tensor;
 
 /// Frames to a half wave of the quickest drift.
@@ -12,20 +12,23 @@ const FRAMES: usize = 8;
 /// up to a half wave for every eight frames.
 pub(super) fn drift(motions: Tensor<2>) -> Tensor<2> {
     let [n, _] = motions.dims();
+    if n < FRAMES {
+        return motions.zeros_like();
+    }
     let half_wave = std::f64::consts::PI / n as f64;
-    let wave = |k: usize, i: usize| (half_wave * k as f64 * (i as f64 + 0.5)).cos();
-    let weight = |i: usize, j: usize| {
-        let waves = (1..=n / FRAMES).map(|k| wave(k, i) * wave(k, j));
-        (2.0 / n as f64 * waves.sum::<f64>()) as f32
+    let wave = |k: usize| {
+        let frames = (0..n).map(|i| (half_wave * k as f64 * (i as f64 + 0.5)).cos());
+        frames.collect()
     };
-    let weights = (0..n * n).map(|at| weight(at / n, at % n)).collect();
-    tensor::<2>(weights, [n, n], &motions.device()).matmul(motions)
+    let waves = (1..=n / FRAMES).map(wave).collect();
+    let waves = Columns::spanning(waves, (&motions.device(), motions.dtype()));
+    Tensor::from_inner(waves.part_of(motions.inner()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tensors::host;
+    use crate::tensors::{host, tensor};
     use burn::tensor::Device;
 
     /// What drifts among motions that are `of` each of so many frames.

@@ -9,7 +9,7 @@ use crate::statistics::median;
 use crate::tensors::{constant, host, leaf, tensor};
 use crate::world::World;
 use burn::tensor::Tensor;
-use capture::{RIGID, moved};
+use capture::RIGID;
 use std::fmt;
 use tracing::trace_span;
 
@@ -193,44 +193,70 @@ impl CameraBlur {
         Ok(())
     }
 
-    /// Leaves the lens out if it does not pay, also with each frame in better focus, and then all paths if they do not; returns
-    /// the frames' errors with what stays, and what share of the error lens and paths are worth.
-    ///
-    /// Paths are worth what they explain beyond a camera without them that drifts as they do.
+    /// Leaves out the lens, and then all paths, if they do not pay; returns the frames' errors with what stays, and what share of
+    /// the error lens and paths are worth.
     fn try_parts(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
     ) -> Result<(Vec<f64>, Worth), TrainError> {
         let now = self.errors(world, looks)?;
-        let own = self.capture.clone();
-        let (mut left, mut lens) = (now, 0.0);
-        if is_there(&own.aperture) {
-            self.capture.aperture = own.aperture.zeros_like();
-            let without = self.errors(world, looks)?;
-            lens = share_more(&without, &left);
-            self.capture.aperture = own.aperture.clone();
-            if !pays(lens) {
-                let focused = self.try_focuses(world, looks, &left)?;
-                let worth = share_more(&without, &focused);
-                if worth > FOCUSED_LENS_PAYS {
-                    (left, lens) = (focused, worth);
-                } else {
-                    self.capture.aperture = own.aperture.zeros_like();
-                    self.capture.focus = own.focus;
-                    left = without;
-                }
-            }
+        let (now, lens) = self.try_without_lens(world, looks, now)?;
+        let (now, paths) = self.try_without_paths(world, looks, now)?;
+        Ok((now, Worth { lens, paths }))
+    }
+
+    /// Leaves the lens out if it does not pay, also with each frame in better focus; takes the frames' errors as it is, and returns
+    /// them with what stays, and what share of the error the lens is worth.
+    fn try_without_lens(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        now: Vec<f64>,
+    ) -> Result<(Vec<f64>, f64), TrainError> {
+        if !is_there(&self.capture.aperture) {
+            return Ok((now, 0.0));
         }
-        let mut paths = 0.0;
-        if is_there(&own.paths) {
-            paths = share_more(&self.errors_without_paths(world, looks)?, &left);
-            if !pays(paths) {
-                self.capture.paths = own.paths.zeros_like();
-                left = self.errors(world, looks)?;
-            }
+        let mut without = self.clone();
+        without.capture.aperture = self.capture.aperture.zeros_like();
+        let left = without.errors(world, looks)?;
+        let worth = share_more(&left, &now);
+        if pays(worth) {
+            return Ok((now, worth));
         }
-        Ok((left, Worth { lens, paths }))
+        let focused = self.try_focuses(world, looks, &now)?;
+        let focused_worth = share_more(&left, &focused);
+        if focused_worth > FOCUSED_LENS_PAYS {
+            return Ok((focused, focused_worth));
+        }
+        *self = without;
+        Ok((left, worth))
+    }
+
+    /// The same of all paths. They are worth what they explain beyond a camera without them that drifts as they do.
+    fn try_without_paths(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        now: Vec<f64>,
+    ) -> Result<(Vec<f64>, f64), TrainError> {
+        if !is_there(&self.capture.paths) {
+            return Ok((now, 0.0));
+        }
+        let mut without = self.clone();
+        without.capture.paths = self.capture.paths.zeros_like();
+        let drift = drift(self.capture.mean_motions());
+        let drifted = |(frame, look): (usize, &Look<'_>)| {
+            let motion = drift.clone().narrow(0, frame, 1);
+            without.error(world, &look.moved(motion, self.scene_size))
+        };
+        let drifted = looks.iter().enumerate().map(drifted);
+        let worth = share_more(&drifted.collect::<Result<Vec<_>, _>>()?, &now);
+        if pays(worth) {
+            return Ok((now, worth));
+        }
+        *self = without;
+        Ok((self.errors(world, looks)?, worth))
     }
 
     /// Leaves on every frame the distance of focus that explains it best, of its own and of some between which the scene lies;
@@ -279,28 +305,6 @@ impl CameraBlur {
         }
         self.capture.aperture = own * best.1;
         Ok(best.0)
-    }
-
-    /// The error of every frame without paths, from where they have drifted to.
-    fn errors_without_paths(
-        &self,
-        world: &World,
-        looks: &[Look<'_>],
-    ) -> Result<Vec<f64>, TrainError> {
-        let drift = drift(self.capture.mean_motions());
-        let mut without = self.clone();
-        without.capture.paths = self.capture.paths.zeros_like();
-        let options = (&drift.device(), drift.dtype());
-        let error = |(frame, look): (usize, &Look<'_>)| {
-            let given = look.cam_from_world(options);
-            let drifted = moved(drift.clone().narrow(0, frame, 1), &given, self.scene_size);
-            let look = Look {
-                pose: Some(drifted.reshape([3, 4])),
-                ..look.clone()
-            };
-            without.error(world, &look)
-        };
-        looks.iter().enumerate().map(error).collect()
     }
 
     /// The error of every frame.
