@@ -52,6 +52,8 @@ pub struct Case {
     pub scene: String,
     /// The arm's name.
     pub arm: String,
+    /// What the arm asks for, see [`Arm::asks`].
+    pub asks: String,
     /// Seed.
     pub seed: u64,
     /// What is run.
@@ -180,6 +182,7 @@ pub fn cases(study: &Study, path: &Path, program: &str) -> Result<Vec<Case>, Lab
                 cases.push(Case {
                     scene: scene.clone(),
                     arm: arm.name.clone(),
+                    asks: arm.asks(),
                     seed,
                     run,
                 });
@@ -200,6 +203,17 @@ impl Arm {
     #[must_use]
     pub fn is_perturbed(&self) -> bool {
         self.perturb.is_any()
+    }
+
+    /// Hash of what its runs are told, whatever the scene, the seed and the program: an arm that keeps its name and is something
+    /// else now has another.
+    pub(crate) fn asks(&self) -> String {
+        let (truth, perturbed) = (format!("{:?}", self.truth), self.perturb.names());
+        let settings = self.settings.iter();
+        let settings: Vec<String> = settings.map(|(k, v)| format!("{k}={}", text(v))).collect();
+        let parts = std::iter::once(truth.as_str());
+        let more = perturbed.iter().chain(&settings).map(String::as_str);
+        hex(&hashed(parts.chain(more))[..8])
     }
 
     /// Turns a knob to a value, which its name then says.

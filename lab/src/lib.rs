@@ -2,7 +2,7 @@
 //!
 //! A [`Study`] is a TOML file. It expands to [`Case`]s, each an ordinary `limpid train` whose folder is named by a hash of what
 //! determines its result, so that nothing is run twice. A [`Plan`] holds them with a command each, for any scheduler;
-//! [`run_all`] is the one for this machine. [`gather`] makes a [`Report`] of what is there, finished or not.
+//! [`run_all`] is the one for this machine. [`gather`] makes a [`Report`] of what is there, finished or not, and of what is [`Kept`].
 //!
 //! It knows no Burn and nothing of training: the program `limpid` is started, and its `metrics.json` read.
 
@@ -14,7 +14,9 @@ mod engines;
 mod error;
 mod execute;
 mod expand;
+mod gather;
 mod hash;
+mod kept;
 mod local;
 mod machine;
 mod perturb;
@@ -34,12 +36,14 @@ pub use engines::Engine;
 pub use error::LabError;
 pub use execute::{Failed, Outcome, execute};
 pub use expand::{Arm, Case, Run, arms, cases};
+pub use gather::gather;
+pub use kept::Kept;
 pub use local::{Tally, failure, run_all};
 pub use machine::Machine;
 pub use perturb::Perturb;
 pub use plan::{Places, Plan, PlannedRun, Program};
 pub use plot::draw;
-pub use report::{Cell, FailedRun, Report, Row, SceneTable, gather};
+pub use report::{Cell, FailedRun, Origin, Report, Row, SceneTable};
 pub use scenes::Scenes;
 pub use score::{Kind, Measured, Score};
 pub use statistics::Summary;

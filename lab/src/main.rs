@@ -2,7 +2,7 @@
 
 use clap::{Args, Parser, Subcommand};
 use limpid_lab::{
-    Children, Engine, LabError, Outcome, Places, Plan, Program, Scenes, Study, Tally, draw,
+    Children, Engine, Kept, LabError, Outcome, Places, Plan, Program, Scenes, Study, Tally, draw,
     execute, failure, gather, markdown, run_all,
 };
 use std::io::Write as _;
@@ -61,9 +61,18 @@ struct StudyArguments {
     /// The program that trains [default: limpid beside this one].
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
+    #[command(flatten)]
+    kept: KeptArgument,
     /// So many runs at a time, of one thread each [default: one a core].
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
+}
+
+#[derive(Debug, Args)]
+struct KeptArgument {
+    /// An earlier report of the study: what it holds is not run again, and stands in the new report too.
+    #[arg(long, value_name = "STUDY.json")]
+    kept: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
@@ -73,6 +82,8 @@ struct GatherArguments {
     /// Where everything is.
     #[arg(long, value_name = "DIR", default_value = "out/lab")]
     out: PathBuf,
+    #[command(flatten)]
+    kept: KeptArgument,
     /// Where tables, plot and JSON go [default: OUT/STUDY].
     #[arg(long, value_name = "DIR")]
     to: Option<PathBuf>,
@@ -116,11 +127,12 @@ struct Asked {
     study: Study,
     path: PathBuf,
     places: Places,
+    kept: Option<Kept>,
 }
 
 impl Asked {
     /// Reads a study by its name in the repository, or by its path.
-    fn read(given: &str, out: &Path) -> Result<Self, LabError> {
+    fn read(given: &str, out: &Path, kept: &KeptArgument) -> Result<Self, LabError> {
         let given = Path::new(given);
         let path = if given.extension().is_some() {
             given.to_owned()
@@ -149,9 +161,14 @@ impl Asked {
             );
             return Err(LabError::Asked(problem));
         }
+        let study = Study::read(&path)?;
+        let kept = kept.kept.as_deref();
         Ok(Self {
+            kept: kept
+                .map(|kept| Kept::read(kept, &name, &study))
+                .transpose()?,
             name,
-            study: Study::read(&path)?,
+            study,
             path,
             places: Places {
                 out: out.to_owned(),
@@ -166,7 +183,7 @@ impl Asked {
 
 impl StudyArguments {
     fn plan(&self) -> Result<Plan, LabError> {
-        let asked = Asked::read(&self.study, &self.out)?;
+        let asked = Asked::read(&self.study, &self.out, &self.kept)?;
         let places = &asked.places;
         let this = std::env::current_exe();
         let this = this.map_err(|e| LabError::Asked(format!("this program is nowhere: {e}")))?;
@@ -180,7 +197,8 @@ impl StudyArguments {
             folder: self.scenes.clone(),
             links: places.links(),
         };
-        let plan = Plan::new(asked.parts(), program, &scenes, places, &this)?;
+        let kept = asked.kept.as_ref();
+        let plan = Plan::new(asked.parts(), program, &scenes, places, kept, &this)?;
         let file = places.plan(&asked.name);
         plan.write(&file)?;
         say(&format!("{} runs: {}", plan.runs.len(), file.display()));
@@ -220,7 +238,7 @@ impl StudyArguments {
 
     fn run_and_gather(&self) -> Result<ExitCode, LabError> {
         let code = self.run()?;
-        let asked = Asked::read(&self.study, &self.out)?;
+        let asked = Asked::read(&self.study, &self.out, &self.kept)?;
         write_report(&asked, &asked.places.study(&asked.name))?;
         Ok(code)
     }
@@ -265,7 +283,7 @@ fn summary(tally: &Tally) {
 
 impl GatherArguments {
     fn gather(&self) -> Result<ExitCode, LabError> {
-        let asked = Asked::read(&self.study, &self.out)?;
+        let asked = Asked::read(&self.study, &self.out, &self.kept)?;
         let folder = asked.places.study(&asked.name);
         write_report(&asked, self.to.as_ref().unwrap_or(&folder))?;
         Ok(ExitCode::SUCCESS)
@@ -276,7 +294,8 @@ impl GatherArguments {
 fn write_report(asked: &Asked, to: &Path) -> Result<(), LabError> {
     let name = &asked.name;
     let plan = Plan::read(&asked.places.plan(name))?;
-    let report = gather(asked.parts(), &plan.program, &asked.places)?;
+    let kept = asked.kept.as_ref();
+    let report = gather(asked.parts(), &plan.program, &asked.places, kept)?;
     std::fs::create_dir_all(to).map_err(LabError::file(to))?;
     let [table, json, picture] = ["md", "json", "svg"].map(|end| to.join(format!("{name}.{end}")));
     let is_drawn = match &asked.study.plot {

@@ -246,7 +246,7 @@ fn key(area: &Area<'_>, knobs: &[&str], front: bool) -> Drawn {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::Cell;
+    use crate::report::{Cell, Origin};
 
     fn row(arm: &str, knob: Option<&str>, cost: f64, quality: f64) -> Row {
         let cell = |value: f64| Cell {
@@ -255,6 +255,7 @@ mod tests {
         };
         Row {
             arm: arm.to_owned(),
+            asks: String::new(),
             against: (arm != "base").then(|| "base".to_owned()),
             knob: knob.map(str::to_owned),
             is_given_truth: arm == "bound",
@@ -281,11 +282,14 @@ mod tests {
             study: "s".to_owned(),
             title: "S".to_owned(),
             about: String::new(),
-            version: "limpid 0".to_owned(),
-            commit: None,
-            changed: false,
-            dates: None,
-            machines: Vec::new(),
+            origin: Origin {
+                version: "limpid 0".to_owned(),
+                commit: None,
+                changed: false,
+                dates: None,
+                machines: Vec::new(),
+            },
+            earlier: Vec::new(),
             planned: 8,
             finished: 8,
             failed: Vec::new(),

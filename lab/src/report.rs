@@ -1,21 +1,17 @@
-//! What a study found, as far as its runs are there.
+//! What a study found.
 
-use crate::error::LabError;
-use crate::execute::{Failed, Record, is_finished};
-use crate::expand::{Arm, Case, arms, cases};
-use crate::machine::{Machine, date};
-use crate::plan::{Places, Program};
-use crate::score::{Kind, Score};
+use crate::execute::Failed;
+use crate::machine::Machine;
+use crate::score::Score;
 use crate::statistics::Summary;
-use crate::study::Study;
-use serde::Serialize;
-use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::path::Path;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The figures of a finished run: one a score.
+pub(crate) type Figures = Vec<Option<f64>>;
 
 /// All that the runs of a study say, without a path of this machine.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Report {
     /// The study's name.
     pub study: String,
@@ -23,16 +19,12 @@ pub struct Report {
     pub title: String,
     /// What it asks.
     pub about: String,
-    /// What the program calls itself.
-    pub version: String,
-    /// The commit it was built from.
-    pub commit: Option<String>,
-    /// Whether files differed from that commit.
-    pub changed: bool,
-    /// The first and the last day on which a run began.
-    pub dates: Option<(String, String)>,
-    /// What runs were made on.
-    pub machines: Vec<Machine>,
+    /// Of what its runs are.
+    #[serde(flatten)]
+    pub origin: Origin,
+    /// The same of runs that are known from earlier reports alone.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub earlier: Vec<Origin>,
     /// Number of runs that the study asks for.
     pub planned: usize,
     /// Number of those that are finished.
@@ -53,8 +45,37 @@ pub struct Report {
     pub overall: Vec<Row>,
 }
 
+/// What made runs, when and where.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Origin {
+    /// What the program calls itself.
+    pub version: String,
+    /// The commit it was built from.
+    pub commit: Option<String>,
+    /// Whether files differed from that commit.
+    pub changed: bool,
+    /// The first and the last day on which a run began.
+    pub dates: Option<(String, String)>,
+    /// What runs were made on.
+    pub machines: Vec<Machine>,
+}
+
+impl Origin {
+    /// Whether both are of the same program, as far as its commit tells.
+    pub(crate) fn is_program_of(&self, other: &Self) -> bool {
+        let program = |origin: &Self| {
+            (
+                origin.version.clone(),
+                origin.commit.clone(),
+                origin.changed,
+            )
+        };
+        program(self) == program(other)
+    }
+}
+
 /// A run that died.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FailedRun {
     /// On which scene.
     pub scene: String,
@@ -70,7 +91,7 @@ pub struct FailedRun {
 }
 
 /// The rows of a scene.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SceneTable {
     /// Its name.
     pub scene: String,
@@ -79,10 +100,13 @@ pub struct SceneTable {
 }
 
 /// What an arm came to.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     /// Its name.
     pub arm: String,
+    /// Hash of what its runs are told, whatever the scene, the seed and the program.
+    #[serde(default)]
+    pub asks: String,
     /// The arm that it is compared with.
     pub against: Option<String>,
     /// The knob that it is a point of.
@@ -100,10 +124,10 @@ pub struct Row {
 }
 
 /// What an arm came to in a score.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Cell {
     /// By seed.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub values: BTreeMap<u64, f64>,
     /// Mean over seeds.
     pub mean: Option<Summary>,
@@ -111,377 +135,4 @@ pub struct Cell {
     pub gain: Option<Summary>,
     /// Share of the way from the baseline to the bound.
     pub closed: Option<Summary>,
-}
-
-/// The figures of a finished run: one a score.
-type Figures = Vec<Option<f64>>;
-
-/// Reads what is there of a study.
-///
-/// # Errors
-/// The study cannot be expanded, or a file of a run cannot be read.
-pub fn gather(
-    study: (&str, &Study, &Path),
-    program: &Program,
-    places: &Places,
-) -> Result<Report, LabError> {
-    let (name, study, path) = study;
-    let cases = cases(study, path, &program.fingerprint)?;
-    let (mut days, mut machines, mut failed) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
-    let mut figures: BTreeMap<&str, Figures> = BTreeMap::new();
-    let mut seen = BTreeSet::new();
-    for case in &cases {
-        let id = case.run.id.as_str();
-        if !seen.insert(id) {
-            continue;
-        }
-        let folder = places.runs().join(id);
-        let record = Record::read(&folder)?;
-        for attempt in &record.attempts {
-            days.insert(date(attempt.began));
-            machines.insert(attempt.machine.clone());
-        }
-        if is_finished(&folder) {
-            let metrics = read_metrics(&folder.join("metrics.json"))?;
-            let measured = record.measured();
-            let of = |score: &Score| score.of(&metrics, measured.as_ref());
-            figures.insert(id, study.score.iter().map(of).collect());
-        } else if let Some(how) = record.attempts.last().and_then(|a| a.failed.clone()) {
-            failed.push(FailedRun {
-                scene: case.scene.clone(),
-                arm: case.arm.clone(),
-                seed: case.seed,
-                run: id.to_owned(),
-                failed: how,
-            });
-        }
-    }
-    let arms = arms(study, path)?;
-    let table = |scene: &String| SceneTable {
-        scene: scene.clone(),
-        rows: rows(study, &arms, &of_scene(&cases, &figures, scene)),
-    };
-    let scenes: Vec<SceneTable> = study.scenes.iter().map(table).collect();
-    Ok(Report {
-        study: name.to_owned(),
-        title: study.title.clone(),
-        about: study.about.trim().to_owned(),
-        version: program.version.clone(),
-        commit: program.commit.clone(),
-        changed: program.changed,
-        dates: days.first().cloned().zip(days.last().cloned()),
-        machines: machines.into_iter().collect(),
-        planned: seen.len(),
-        finished: figures.len(),
-        failed,
-        seeds: study.seeds.clone(),
-        baseline: study.baseline().to_owned(),
-        bound: study.bound.clone(),
-        scores: study.score.clone(),
-        overall: overall(&arms, &scenes, study.score.len()),
-        scenes,
-    })
-}
-
-fn read_metrics(path: &Path) -> Result<Value, LabError> {
-    let text = fs::read(path).map_err(LabError::file(path))?;
-    serde_json::from_slice(&text).map_err(|e| LabError::content(path, e))
-}
-
-/// Figures of a scene, by arm and seed.
-type ByArm<'a> = BTreeMap<&'a str, BTreeMap<u64, &'a Figures>>;
-
-fn of_scene<'a>(cases: &'a [Case], figures: &'a BTreeMap<&str, Figures>, scene: &str) -> ByArm<'a> {
-    let mut all = ByArm::new();
-    for case in cases.iter().filter(|case| case.scene == scene) {
-        let seeds = all.entry(&case.arm).or_default();
-        if let Some(figures) = figures.get(case.run.id.as_str()) {
-            seeds.insert(case.seed, figures);
-        }
-    }
-    all
-}
-
-/// A row for every arm that is run on a scene.
-fn rows(study: &Study, arms: &[Arm], all: &ByArm<'_>) -> Vec<Row> {
-    let values = |arm: Option<&str>, score: usize| -> BTreeMap<u64, f64> {
-        let seeds = arm.and_then(|arm| all.get(arm)).into_iter().flatten();
-        seeds
-            .filter_map(|(seed, figures)| Some((*seed, figures[score]?)))
-            .collect()
-    };
-    let cell = |arm: &Arm, score: usize| {
-        let here = values(Some(&arm.name), score);
-        let there = values(arm.against.as_deref(), score);
-        let from = values(Some(study.baseline()), score);
-        let to = values(study.bound.as_deref(), score);
-        let kind = study.score[score].kind();
-        let is_way = kind == Kind::Quality && arm.name != study.baseline();
-        Cell {
-            mean: Summary::of(&Vec::from_iter(here.values().copied())),
-            gain: gain(kind, &here, &there),
-            closed: is_way.then(|| closed(&here, &from, &to)).flatten(),
-            values: here,
-        }
-    };
-    arms.iter()
-        .filter_map(|arm| {
-            let runs = all.get(arm.name.as_str())?.len();
-            let cells = (0..study.score.len()).map(|score| cell(arm, score));
-            Some(row(arm, 1, runs, cells.collect()))
-        })
-        .collect()
-}
-
-fn row(arm: &Arm, scenes: usize, runs: usize, cells: Vec<Cell>) -> Row {
-    Row {
-        arm: arm.name.clone(),
-        against: arm.against.clone(),
-        knob: arm.knob.clone(),
-        is_given_truth: arm.is_given_truth(),
-        is_perturbed: arm.is_perturbed(),
-        scenes,
-        runs,
-        cells,
-    }
-}
-
-/// The gain of `here` against `there`, over the seeds that both have.
-fn gain(kind: Kind, here: &BTreeMap<u64, f64>, there: &BTreeMap<u64, f64>) -> Option<Summary> {
-    let pairs = here.iter().filter_map(|(seed, a)| {
-        let b = there.get(seed)?;
-        match kind {
-            Kind::Quality | Kind::Finding => Some(a - b),
-            Kind::Cost => (*b > 0.0).then(|| a / b),
-        }
-    });
-    Summary::of(&pairs.collect::<Vec<_>>())
-}
-
-/// The share of the way between two arms, over the seeds that all three have; none where that way is not clear of zero, which a share
-/// would divide by.
-fn closed(
-    here: &BTreeMap<u64, f64>,
-    from: &BTreeMap<u64, f64>,
-    to: &BTreeMap<u64, f64>,
-) -> Option<Summary> {
-    let ways: Vec<(f64, f64)> = here
-        .iter()
-        .filter_map(|(seed, here)| {
-            let from = from.get(seed)?;
-            Some((here - from, to.get(seed)? - from))
-        })
-        .collect();
-    let whole = Summary::of(&Vec::from_iter(ways.iter().map(|(_, whole)| *whole)))?;
-    let is_way = whole.mean > 0.0 && (whole.standard_error.is_none() || whole.is_clear());
-    let shares = ways.iter().map(|(part, whole)| part / whole);
-    is_way
-        .then(|| Summary::of(&shares.collect::<Vec<_>>()))
-        .flatten()
-}
-
-/// Means over scenes of what was gained on each.
-fn overall(arms: &[Arm], scenes: &[SceneTable], scores: usize) -> Vec<Row> {
-    let mut all = Vec::new();
-    for arm in arms {
-        let found = scenes.iter().flat_map(|table| &table.rows);
-        let found: Vec<&Row> = found.filter(|row| row.arm == arm.name).collect();
-        let cell = |score: usize| {
-            let over = |of: fn(&Cell) -> Option<Summary>| {
-                let parts = found.iter().filter_map(|row| of(&row.cells[score]));
-                Summary::over(&parts.collect::<Vec<_>>())
-            };
-            Cell {
-                values: BTreeMap::new(),
-                mean: over(|cell| cell.mean),
-                gain: over(|cell| cell.gain),
-                closed: over(|cell| cell.closed),
-            }
-        };
-        let cells = (0..scores).map(cell).collect();
-        let with_runs = found.iter().filter(|row| row.runs > 0).count();
-        let runs = found.iter().map(|row| row.runs).sum();
-        all.push(row(arm, with_runs, runs, cells));
-    }
-    all
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn map(values: &[(u64, f64)]) -> BTreeMap<u64, f64> {
-        values.iter().copied().collect()
-    }
-
-    #[test]
-    fn gains_are_paired_by_seed() {
-        // Seeds differ by 10, the gain hardly: its error is that of the differences 1.0 and 1.2.
-        let here = map(&[(1, 21.0), (2, 31.2), (4, 99.0)]);
-        let there = map(&[(1, 20.0), (2, 30.0), (3, 0.0)]);
-        let found = gain(Kind::Quality, &here, &there).expect("two pairs");
-        assert_eq!(found.count, 2);
-        assert!((found.mean - 1.1).abs() < 1e-12);
-        assert!((found.standard_error.expect("two") - 0.1).abs() < 1e-12);
-        let times = gain(Kind::Cost, &here, &there).expect("two pairs");
-        assert!((times.mean - (1.05 + 1.04) / 2.0).abs() < 1e-12);
-        assert_eq!(gain(Kind::Quality, &here, &map(&[(3, 1.0)])), None);
-    }
-
-    #[test]
-    fn a_share_needs_a_way_to_be_a_share_of() {
-        let from = map(&[(1, 20.0), (2, 20.0)]);
-        let to = map(&[(1, 30.0), (2, 40.0)]);
-        let found = closed(&map(&[(1, 25.0), (2, 35.0)]), &from, &to).expect("a way");
-        assert!((found.mean - 0.625).abs() < 1e-12);
-        let found = closed(&from, &from, &to).expect("a way");
-        assert_eq!(found.mean, 0.0);
-        let flat = map(&[(1, 20.1), (2, 19.95)]);
-        assert_eq!(
-            closed(&to, &from, &flat),
-            None,
-            "inside two standard errors"
-        );
-        assert_eq!(closed(&to, &to, &from), None, "the wrong way");
-        assert_eq!(closed(&to, &from, &BTreeMap::new()), None, "no bound yet");
-    }
-
-    const STUDY: &str = r#"
-title = "T"
-about = "A."
-scenes = ["a", "b"]
-seeds = [1, 2]
-baseline = "off"
-bound = "bound"
-score = ["all", "cpu"]
-set.iterations = 200
-[[variants]]
-name = "off"
-set.x = 0
-[[variants]]
-name = "on"
-set.x = 1
-[[variants]]
-name = "bound"
-set.x = 2
-except = ["b"]
-"#;
-
-    /// A run's results, or the record of one that died.
-    fn write(places: &Places, case: &Case, all: Option<f64>) {
-        let folder = places.runs().join(&case.run.id);
-        fs::create_dir_all(&folder).expect("a folder");
-        let attempt = |failed| crate::execute::Attempt {
-            began: 86_400 * case.seed,
-            wall_seconds: 3.0,
-            cpu_seconds: 2.0,
-            peak_mib: Some(100.0),
-            failed,
-            machine: Machine {
-                processor: "a chip".to_owned(),
-                cores: 4,
-            },
-        };
-        let how = |how: &str| Failed {
-            how: how.to_owned(),
-            last_lines: vec!["it was".to_owned(), "the end".to_owned()],
-        };
-        let mut attempts = vec![attempt(Some(how("exit code 1")))];
-        if let Some(all) = all {
-            attempts.push(attempt(None));
-            let metrics = format!("{{\"test\": {{\"mpsnr\": {all}}}}}");
-            fs::write(folder.join("metrics.json"), metrics).expect("written");
-        }
-        let record = Record { attempts };
-        let text = serde_json::to_string(&record).expect("JSON");
-        fs::write(folder.with_extension("json"), text).expect("written");
-    }
-
-    #[test]
-    fn what_is_there_is_gathered_half_way_too() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let places = Places {
-            out: folder.path().to_owned(),
-        };
-        let path = Path::new("s.toml");
-        let study = Study::parse(STUDY, path).expect("a study");
-        let program = Program {
-            path: "limpid".into(),
-            fingerprint: "f".to_owned(),
-            version: "limpid 0".to_owned(),
-            commit: Some("abc".to_owned()),
-            changed: false,
-        };
-        let report = || gather(("s", &study, path), &program, &places).expect("a report");
-        let nothing = report();
-        assert_eq!((nothing.planned, nothing.finished), (10, 0));
-        assert!(nothing.dates.is_none() && nothing.failed.is_empty());
-        assert!(crate::table::markdown(&nothing, None).contains("**0 of 10 runs are finished.**"));
-
-        for case in cases(&study, path, "f").expect("cases") {
-            let all = match (&*case.scene, &*case.arm, case.seed) {
-                ("a", "off", seed) => Some(20.0 + seed as f64),
-                ("a", "on", seed) => Some(25.0 + 2.0 * seed as f64),
-                ("a", "bound", seed) => Some(30.0 + seed as f64),
-                ("b", "off", 1) => Some(30.0),
-                ("b", "on", 1) => Some(29.0),
-                ("b", "on", 2) => None,
-                _ => continue,
-            };
-            write(&places, &case, all);
-        }
-        let found = report();
-        assert_eq!((found.planned, found.finished), (10, 8));
-        let days = ["1970-01-02", "1970-01-03"].map(str::to_owned);
-        assert_eq!(found.dates, Some(days.into()));
-        assert_eq!(found.machines.len(), 1);
-        let [died] = &found.failed[..] else {
-            panic!("one died: {:?}", found.failed);
-        };
-        assert_eq!((&*died.scene, &*died.arm, died.seed), ("b", "on", 2));
-
-        // Gains of 6 and 7 of 10 on `a`, of -1 on `b`, where nothing bounds.
-        let row = |scene: usize, arm: &str| {
-            let rows = &found.scenes[scene].rows;
-            rows.iter().find(|row| row.arm == arm).expect("a row")
-        };
-        let on = &row(0, "on").cells[0];
-        let gain = on.gain.expect("two pairs");
-        assert!(
-            (gain.mean - 6.5).abs() < 1e-12
-                && (gain.standard_error.expect("two") - 0.5).abs() < 1e-12
-        );
-        assert!((on.closed.expect("a way").mean - 0.65).abs() < 1e-12);
-        assert_eq!(row(1, "on").cells[0].closed, None);
-        assert_eq!(row(1, "on").runs, 1);
-        assert!(found.scenes[1].rows.iter().all(|row| row.arm != "bound"));
-        assert_eq!(
-            row(0, "off").cells[1].mean.expect("measured").mean,
-            4.0,
-            "both attempts"
-        );
-        let over = found
-            .overall
-            .iter()
-            .find(|row| row.arm == "on")
-            .expect("a row");
-        let gain = over.cells[0].gain.expect("two scenes");
-        assert!((gain.mean - 2.75).abs() < 1e-12, "{gain:?}");
-        assert_eq!(gain.standard_error, None, "of one scene nothing is known");
-
-        let table = crate::table::markdown(&found, Some("s.svg"));
-        for part in [
-            "**8 of 10 runs are finished, and 1 died.**",
-            "limpid 0, commit `abc`, 1970-01-02 to 1970-01-03, on a chip, 4 cores; one thread a run.",
-            "| on | 2 | 28.00 ± 1.00 (**+6.50 ± 0.50**; 65 %) | 4.0 ± 0.0 (×1.00 ± 0.00) |",
-            "| on | 1 | 29.00 (-1.00) | 4.0 (×1.00) |",
-            "| on | 2 | +2.75; 65 % | ×1.00 |",
-            "![T](s.svg)",
-            "- `b`, on, seed 2",
-            "exit code 1: the end",
-        ] {
-            assert!(table.contains(part), "{part}: {table}");
-        }
-        assert!(!table.contains("\n\n\n"), "one empty line at most: {table}");
-    }
 }

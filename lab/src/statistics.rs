@@ -1,9 +1,9 @@
 //! Means, their standard errors, and what nothing beats.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// A mean over seeds.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// The mean.
     pub mean: f64,

@@ -1,6 +1,6 @@
 //! A report as Markdown.
 
-use crate::report::{Cell, Report, Row};
+use crate::report::{Cell, Origin, Report, Row};
 use crate::score::{Kind, Score};
 use crate::statistics::Summary;
 use std::fmt::Write as _;
@@ -16,7 +16,7 @@ pub fn markdown(report: &Report, plot: Option<&str>) -> String {
 fn write_all(out: &mut String, report: &Report, plot: Option<&str>) -> std::fmt::Result {
     writeln!(out, "# {}\n\n{}\n", report.title, report.about)?;
     writeln!(out, "    cargo xtask lab {}\n", report.study)?;
-    writeln!(out, "{}", origin(report))?;
+    writeln!(out, "{}", origins(report))?;
     writeln!(out, "{}", state(report))?;
     writeln!(out, "{}\n", legend(report))?;
     if let Some(plot) = plot {
@@ -64,18 +64,18 @@ fn write_all(out: &mut String, report: &Report, plot: Option<&str>) -> std::fmt:
 }
 
 /// Commit, date and machine.
-fn origin(report: &Report) -> String {
-    let commit = match &report.commit {
-        Some(commit) if report.changed => format!("commit `{commit}` with changes on top"),
+fn origin(of: &Origin) -> String {
+    let commit = match &of.commit {
+        Some(commit) if of.changed => format!("commit `{commit}` with changes on top"),
         Some(commit) => format!("commit `{commit}`"),
         None => "no commit known".to_owned(),
     };
-    let dates = match &report.dates {
+    let dates = match &of.dates {
         Some((first, last)) if first == last => format!(", {first}"),
         Some((first, last)) => format!(", {first} to {last}"),
         None => String::new(),
     };
-    let machines: Vec<String> = report
+    let machines: Vec<String> = of
         .machines
         .iter()
         .map(|m| format!("{}, {} cores", m.processor, m.cores))
@@ -84,10 +84,16 @@ fn origin(report: &Report) -> String {
         0 => String::new(),
         _ => format!(", on {}", machines.join("; ")),
     };
-    format!(
-        "{}, {commit}{dates}{machines}; one thread a run.",
-        report.version
-    )
+    format!("{}, {commit}{dates}{machines}", of.version)
+}
+
+/// The same of all programs that made runs.
+fn origins(report: &Report) -> String {
+    let mut text = origin(&report.origin) + "; one thread a run.";
+    for earlier in &report.earlier {
+        write!(text, " Other runs: {}.", origin(earlier)).expect("a string takes text");
+    }
+    text
 }
 
 fn state(report: &Report) -> String {

@@ -1,0 +1,68 @@
+//! Runs that an earlier report of a study holds, so that their folders need not be there any more.
+
+use crate::error::LabError;
+use crate::expand::Case;
+use crate::report::{Figures, Origin, Report, Row};
+use crate::score::Score;
+use crate::study::Study;
+use std::fs;
+use std::path::Path;
+
+/// An earlier report of a study.
+#[derive(Clone, Debug)]
+pub struct Kept {
+    report: Report,
+}
+
+impl Kept {
+    /// Reads `STUDY.json`.
+    ///
+    /// # Errors
+    /// It cannot be read, is no report, is of another study, or lacks a score that the study asks for now.
+    pub fn read(path: &Path, name: &str, study: &Study) -> Result<Self, LabError> {
+        let text = fs::read(path).map_err(LabError::file(path))?;
+        let report: Report =
+            serde_json::from_slice(&text).map_err(|e| LabError::content(path, e))?;
+        if report.study != name {
+            let problem = format!("it is a report of `{}`, not of `{name}`", report.study);
+            return Err(LabError::content(path, problem));
+        }
+        if let Some(score) = study.score.iter().find(|s| !report.scores.contains(s)) {
+            let problem = format!(
+                "its runs have no `{}`, which the study scores",
+                score.name()
+            );
+            return Err(LabError::content(path, problem));
+        }
+        Ok(Self { report })
+    }
+
+    /// Whether it holds a run that asked for the same as this one.
+    pub(crate) fn holds(&self, case: &Case) -> bool {
+        let has_seed = |row: &Row| row.cells.iter().any(|c| c.values.contains_key(&case.seed));
+        self.row(case).is_some_and(has_seed)
+    }
+
+    /// The figures of that run.
+    pub(crate) fn figures(&self, case: &Case, scores: &[Score]) -> Option<Figures> {
+        let row = self.row(case).filter(|_| self.holds(case))?;
+        let of = |score: &Score| {
+            let column = self.report.scores.iter().position(|s| s == score)?;
+            row.cells.get(column)?.values.get(&case.seed).copied()
+        };
+        Some(scores.iter().map(of).collect())
+    }
+
+    /// What made its runs, the latest last.
+    pub(crate) fn origins(&self) -> impl Iterator<Item = &Origin> {
+        let all = self.report.earlier.iter().chain([&self.report.origin]);
+        all.filter(|origin| origin.dates.is_some())
+    }
+
+    fn row(&self, case: &Case) -> Option<&Row> {
+        let mut scenes = self.report.scenes.iter();
+        let table = scenes.find(|table| table.scene == case.scene)?;
+        let mut rows = table.rows.iter();
+        rows.find(|row| row.arm == case.arm && row.asks == case.asks)
+    }
+}
