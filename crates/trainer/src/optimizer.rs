@@ -68,15 +68,19 @@ pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize
     let decay = |share: f64, length: usize| schedule.decay(it, share, length);
     let motion = decay(r.motion_final_share, REFERENCE_ITERATIONS);
     let camera = decay(r.camera_final_share, REFERENCE_ITERATIONS);
+    let pace = schedule.gaussian_pace();
     LearningRate::Uniform(match group {
         Group::Means => {
-            let share = r.means_final / r.means;
-            r.means * size * decay(share, r.means_decay)
+            let start = r.means * pace;
+            start * size * decay(r.means_final / start, r.means_decay)
         }
-        Group::Quats => r.rotations,
-        Group::LogScales => r.scales,
-        Group::OpacityLogits => r.opacity,
-        Group::Sh => return LearningRate::first_and_rest(r.sh_dc, 3, r.sh_rest, columns),
+        Group::Quats => r.rotations * pace,
+        Group::LogScales => r.scales * pace,
+        Group::OpacityLogits => r.opacity * pace,
+        Group::Sh => {
+            let (dc, rest) = (r.sh_dc * pace, r.sh_rest * pace);
+            return LearningRate::first_and_rest(dc, 3, rest, columns);
+        }
         Group::BasisRotations => r.bases * motion,
         Group::BasisTranslations => r.bases * motion * size,
         Group::MotionCoefficients => r.coefficients * motion,
@@ -86,11 +90,10 @@ pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize
             } else {
                 (r.blur_final_share, r.blur_decay)
             };
-            let boost = schedule.short_run_boost(r.short_run_boost);
-            r.blur * boost * decay(share, length)
+            r.blur * schedule.short_run_boost(r.short_run_boost) * decay(share, length)
         }
         Group::CameraPath => {
-            return rigid(r.camera_path * camera * schedule.long_run_calm(), columns);
+            return rigid(r.camera_path * camera * schedule.path_pace(), columns);
         }
         Group::CameraFocus => r.camera_focus * camera,
         // Before its frames have found their focus an aperture shrinks to nothing, where it has no gradient.

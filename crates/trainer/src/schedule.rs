@@ -38,8 +38,13 @@ pub struct Modelled {
     pub blur_moments: Vec<usize>,
 }
 
-/// From so many iterations on paths learn the slower the longer the run is.
-const CALM_ITERATIONS: usize = 3000;
+/// In runs that are shorter than this, Gaussians and paths learn the faster the shorter the run is; in longer ones paths learn
+/// slower.
+const PACED_ITERATIONS: usize = 3000;
+/// So many times faster at most, Gaussians…
+const FASTEST_GAUSSIANS: f64 = 4.0;
+/// … and paths.
+const FASTEST_PATHS: f64 = 8.0;
 
 /// A moment of a run of 40,000 iterations in one of n.
 pub(crate) fn scaled_moment(moment: usize, n: usize) -> usize {
@@ -129,7 +134,7 @@ impl Schedule {
         final_share.powf(progress)
     }
 
-    /// Factor by which the blur model learns faster in short runs: `min(limit, s^-1/2)`, at least 1.
+    /// Factor by which kernels learn faster in short runs: `min(limit, s^-1/2)`, at least 1.
     #[must_use]
     pub fn short_run_boost(&self, limit: f64) -> f64 {
         (REFERENCE_ITERATIONS as f64 / self.iterations as f64)
@@ -138,15 +143,26 @@ impl Schedule {
             .max(1.0)
     }
 
-    /// Factor by which paths learn slower in long runs: `min(1, (3000 / iterations)^1/2)`.
-    ///
-    /// Adam steps by its rate however small the gradient is, so that a path that nothing holds walks at random, as far as the
-    /// rate times the root of its steps; the scene goes with it.
+    /// 3,000 / iterations: how many times as far a step has to lead for what would have 3,000 of them.
+    fn pace(&self) -> f64 {
+        PACED_ITERATIONS as f64 / self.iterations as f64
+    }
+
+    /// Factor on the rates of what Gaussians are: `3,000 / iterations`, between 1 and 4.
     #[must_use]
-    pub fn long_run_calm(&self) -> f64 {
-        (CALM_ITERATIONS as f64 / self.iterations as f64)
-            .sqrt()
-            .min(1.0)
+    pub fn gaussian_pace(&self) -> f64 {
+        self.pace().clamp(1.0, FASTEST_GAUSSIANS)
+    }
+
+    /// Factor on the rate of paths, with x = 3,000 / iterations: `min(8, x)` in shorter runs, `x^1/2` in longer ones.
+    ///
+    /// A frame is seen so rarely in a short run that its path has to come as far in fewer steps. In a long one, Adam steps by
+    /// its rate however small the gradient is, so that a path that nothing holds walks at random, as far as the rate times the
+    /// root of its steps; the scene goes with it.
+    #[must_use]
+    pub fn path_pace(&self) -> f64 {
+        let pace = self.pace();
+        pace.max(pace.min(1.0).sqrt()).min(FASTEST_PATHS)
     }
 }
 
@@ -279,12 +295,26 @@ mod tests {
     }
 
     #[test]
-    fn paths_walk_as_far_in_a_long_run_as_in_a_short_one() {
-        let walk = |n: usize| schedule(n, 24).long_run_calm() * (n as f64).sqrt();
-        assert_eq!(schedule(200, 24).long_run_calm(), 1.0);
+    fn gaussians_and_paths_come_as_far_in_short_runs_and_paths_walk_no_farther_in_long_ones() {
+        let pace = |n: usize| schedule(n, 24).path_pace();
+        let walk = |n: usize| pace(n) * (n as f64).sqrt();
         for n in [3000, 10_000, 40_000, 200_000] {
             assert!((walk(n) / walk(3000) - 1.0).abs() < 1e-12, "{n}");
         }
+        for n in [375, 500, 1000, 2999] {
+            let steps = pace(n) * n as f64;
+            assert!((steps / 3000.0 - 1.0).abs() < 1e-12, "{n}");
+        }
+        for (n, factor) in [
+            (200, 4.0),
+            (750, 4.0),
+            (1500, 2.0),
+            (3000, 1.0),
+            (40_000, 1.0),
+        ] {
+            assert_eq!(schedule(n, 24).gaussian_pace(), factor, "{n}");
+        }
+        assert_eq!(pace(200), pace(375), "a limit");
     }
 
     #[test]

@@ -311,7 +311,8 @@ impl Default for LossSettings {
     }
 }
 
-/// Learning rates of the parameter groups.
+/// Learning rates of the parameter groups. In runs of less than 3,000 iterations those of Gaussians are higher, see
+/// [`crate::schedule::Schedule::gaussian_pace`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearningRates {
@@ -349,8 +350,8 @@ pub struct LearningRates {
     /// In short runs the blur model learns faster by `min(this, s^-1/2)`, s = iterations / 40,000. Motion does not: what it
     /// learns faster than the blur model it takes from it, as per-frame shifts in the place of kernels.
     pub short_run_boost: f64,
-    /// The camera's paths: turns, rad. Translations, in units of S, learn at a fifth of it. Runs of more than 3,000 iterations learn
-    /// slower, by the root of how many times longer they are ([`crate::schedule::Schedule::long_run_calm`]).
+    /// The camera's paths: turns, rad. Translations, in units of S, learn at a fifth of it. Runs of less than 3,000 iterations learn
+    /// faster, longer ones slower ([`crate::schedule::Schedule::path_pace`]).
     pub camera_path: f64,
     /// Disparities of focus (S / distance).
     pub camera_focus: f64,
