@@ -1,5 +1,6 @@
 //! The `limpid` program: trains, renders and scores.
 
+mod asked;
 mod budget;
 mod check;
 mod checkpoints;
@@ -19,6 +20,7 @@ mod moments;
 mod numbered;
 mod outputs;
 mod page;
+mod preset;
 mod progress;
 mod refresh;
 mod render;
@@ -61,7 +63,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Train on a scene and write pictures, scores, a checkpoint and a PLY.
-    Train(Box<train::TrainArguments>),
+    Train(Box<asked::TrainArguments>),
     /// Render a trained scene again: its views, any moment, or along a path.
     Render(render::RenderArguments),
     /// Write a trained scene in formats that others read: PLY, glTF, SPZ, nerfstudio's and COLMAP's cameras.

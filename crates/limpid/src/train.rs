@@ -1,9 +1,10 @@
 //! `limpid train`.
 
+use crate::asked::TrainArguments;
 use crate::budget::{self, Forecast};
 use crate::check;
 use crate::checkpoints::{self, Checkpoints};
-use crate::config::{self, Backend, CONFIG_FILE, Config, Distortion};
+use crate::config::{self, CONFIG_FILE, Config};
 use crate::failure::{Failure, with_causes};
 use crate::lengths::{HELD_BACK, Lengths, Next};
 use crate::lock::Lock;
@@ -15,111 +16,12 @@ use crate::report;
 use crate::say::{conclude, say};
 use crate::shell::quoted;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
-use crate::watch::{Listening, Watch, WatchArguments};
+use crate::watch::{Listening, Watch};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use toml::{Table, Value};
 use trainer::{Change, Settings, TrainError, Trainer, differences};
-
-/// Arguments of `limpid train`.
-#[derive(Debug, clap::Args)]
-#[command(args_override_self = true)]
-pub(crate) struct TrainArguments {
-    /// Folder of the scene.
-    #[arg(long, value_name = "DIR")]
-    scene: Option<PathBuf>,
-    /// Folder for the results [default: out/SCENE].
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-    /// Number of iterations [default: 10000, with `--profile paper` 40000].
-    #[arg(long, value_name = "N")]
-    iterations: Option<usize>,
-    /// Train as many iterations as fit into so many minutes on this machine, start and end included; no more than otherwise.
-    #[arg(long, value_name = "M", value_parser = minutes, conflicts_with = "resume")]
-    minutes: Option<f64>,
-    /// Train in runs that double in length, from 750 iterations to the number given, until one gains hardly anything on pixels
-    /// that are held back (`frames.held_back`, 0.03 of each frame): takes two to four times as long as the one that it keeps.
-    #[arg(long, conflicts_with_all = ["minutes", "resume"])]
-    until_done: bool,
-    /// Make pictures smaller by this factor.
-    #[arg(long, value_name = "F")]
-    downscale: Option<usize>,
-    /// What explains blur [default: auto].
-    #[arg(long)]
-    blur: Option<Blur>,
-    /// Take the training frames from this folder of the scene.
-    #[arg(long, value_name = "DIR")]
-    images: Option<PathBuf>,
-    /// Ignore movers: no masks, no tracks.
-    #[arg(long = "static")]
-    is_static: bool,
-    /// What to do about lens distortion [default: undistort].
-    #[arg(long)]
-    distortion: Option<Distortion>,
-    /// Where tensors live [default: flex].
-    #[arg(long)]
-    backend: Option<Backend>,
-    /// Start from other defaults.
-    #[arg(long)]
-    profile: Option<Profile>,
-    /// Settings from a TOML file, or from the config.json of another run; flags win over it.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Seed of every random choice [default: 1].
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
-    seed: Option<u64>,
-    /// Go on from the checkpoint in the results' folder, with the settings of the run; --iterations may make it longer.
-    #[arg(long)]
-    resume: bool,
-    /// With --resume: let learning rates change on the way (`--set learning_rates.…`).
-    #[arg(long, requires = "resume")]
-    allow_change: bool,
-    /// Replace the results of an earlier run, and train on files that cannot be right (see `limpid check`).
-    #[arg(long, conflicts_with = "resume")]
-    force: bool,
-    /// Set any setting, for example `--set blur.kernel_size=7`.
-    #[arg(long = "set", value_name = "key=value")]
-    set: Vec<String>,
-    #[command(flatten)]
-    watch: WatchArguments,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Blur {
-    /// Nothing where frames are alike in sharpness, else the camera, and kernels over it where the frames need a lens and paths.
-    Auto,
-    /// The camera.
-    On,
-    /// Nothing: frames are taken to be sharp.
-    Off,
-    /// A kernel for every pixel, as in the paper.
-    Kernels,
-    /// The camera's path and lens.
-    Camera,
-    /// The camera, and kernels for what it leaves.
-    Both,
-}
-
-impl Blur {
-    /// The value of `blur.model`.
-    fn model(self) -> Value {
-        let name = match self {
-            Self::Auto => "auto",
-            Self::Off => "off",
-            Self::Kernels => "kernels",
-            Self::On | Self::Camera => "camera",
-            Self::Both => "both",
-        };
-        Value::String(name.to_owned())
-    }
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Profile {
-    /// The paper's text.
-    Paper,
-}
 
 /// A run that is about to be trained, alone in its folder.
 struct Started {
@@ -137,9 +39,9 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     let save = SaveRequest::listen()?;
     let watch = arguments.watch.listen()?;
     let mut started = if arguments.resume {
-        arguments.go_on()?
+        go_on(arguments)?
     } else {
-        arguments.begin()?
+        begin(arguments)?
     };
     for note in &started.trainer.survey().notes {
         say!("{note}");
@@ -281,182 +183,123 @@ impl Started {
     }
 }
 
-impl TrainArguments {
-    /// A new run.
-    fn begin(&self) -> Result<Started, Failure> {
-        let began = Instant::now();
-        let defaults = match self.profile {
-            Some(Profile::Paper) => Settings::paper(),
-            None => Settings::default(),
-        };
-        let mut config = config::from_table(self.table()?, &Config::of(defaults))?;
-        if self.until_done && config.settings.frames.held_back == 0.0 {
-            config.settings.frames.held_back = HELD_BACK;
-        }
-        // An absolute path, so that the run can be repeated from anywhere.
-        if let Some(scene) = &mut config.run.scene {
-            *scene = absolute(scene)?;
-        }
-        let out = self.out(config.run.scene.as_deref())?;
-        let device = config.run.backend.device()?;
-        outputs::check_folder(&out, self.force)?;
-        // A folder that is not there yet is made once it is clear that there will be a run.
-        let early = out.is_dir().then(|| Lock::of(&out)).transpose()?;
-        let scene = during("reading the scene", || config.open_scene())?;
-        // What it is scored against is read at the end: better to fail now.
-        scene.truth()?;
-        for note in &scene.notes {
-            say!("note: {note}");
-        }
-        check::before_training(&scene, self.force)?;
-        let settings = config.settings.clone();
-        let mut trainer = during("fitting motion and placing Gaussians", || {
-            Trainer::new(scene, settings, &device)
+/// A new run.
+fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
+    let began = Instant::now();
+    let mut config = config::from_table(asked.table()?, &Config::of(asked.defaults()))?;
+    if asked.until_done && config.settings.frames.held_back == 0.0 {
+        config.settings.frames.held_back = HELD_BACK;
+    }
+    // An absolute path, so that the run can be repeated from anywhere.
+    if let Some(scene) = &mut config.run.scene {
+        *scene = absolute(scene)?;
+    }
+    let out = asked.out(config.run.scene.as_deref())?;
+    let device = config.run.backend.device()?;
+    outputs::check_folder(&out, asked.force)?;
+    // A folder that is not there yet is made once it is clear that there will be a run.
+    let early = out.is_dir().then(|| Lock::of(&out)).transpose()?;
+    let scene = during("reading the scene", || config.open_scene())?;
+    // What it is scored against is read at the end: better to fail now.
+    scene.truth()?;
+    for note in &scene.notes {
+        say!("note: {note}");
+    }
+    check::before_training(&scene, asked.force)?;
+    let settings = config.settings.clone();
+    let mut trainer = during("fitting motion and placing Gaussians", || {
+        Trainer::new(scene, settings, &device)
+    })?;
+    if let Some(minutes) = asked.minutes {
+        let lines = during("trying how long an iteration takes", || {
+            budget::fit(&mut trainer, minutes, began)
         })?;
-        if let Some(minutes) = self.minutes {
-            let lines = during("trying how long an iteration takes", || {
-                budget::fit(&mut trainer, minutes, began)
-            })?;
-            lines.iter().for_each(|line| say!("{line}"));
+        lines.iter().for_each(|line| say!("{line}"));
+    }
+    let lengths = if asked.until_done {
+        Some(Lengths::begin(&mut trainer)?)
+    } else {
+        None
+    };
+    config.settings.iterations = trainer.settings().iterations;
+    std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
+    let lock = match early {
+        Some(lock) => lock,
+        None => Lock::of(&out)?,
+    };
+    // Another run may have come and gone since.
+    outputs::check_folder(&out, asked.force)?;
+    // Only now: a mistake in the arguments or the scene costs no earlier results.
+    outputs::clear_folder(&out)?;
+    io::write_json(&out.join(CONFIG_FILE), &config)?;
+    Ok(Started {
+        checkpoints: Checkpoints::new(&out, trainer.settings(), None),
+        out,
+        config,
+        trainer,
+        lengths,
+        _lock: lock,
+    })
+}
+
+/// The run in the results' folder.
+fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
+    let mut table = Table::new();
+    for profile in differences(&asked.defaults(), &Settings::default()) {
+        config::insert(&mut table, &profile.setting, Value::try_from(profile.here)?)?;
+    }
+    config::merge(&mut table, asked.table()?);
+    let scene = table.get("scene").and_then(Value::as_str).map(Path::new);
+    let scene = scene.map(absolute).transpose()?;
+    let out = asked.out(scene.as_deref())?;
+    let found = Config::of_run(&out)?;
+    let lock = Lock::of(&out)?;
+    let mut config = config::from_table(table, &found)?;
+    config.run.scene = scene.or_else(|| found.run.scene.clone());
+    found.check_reading(&config.run)?;
+
+    let mut run = checkpoints::open(&out, &config)?;
+    let edited = differences(&found.settings, run.settings());
+    let changed = run.change(config.settings.clone(), asked.allow_change);
+    let changes = changed.map_err(|error| -> Failure {
+        match &error {
+            TrainError::OtherSetting { setting, .. }
+                if edited.iter().any(|edit| edit.setting == *setting) =>
+            {
+                format!("{}: {error}", out.join(CONFIG_FILE).display()).into()
+            }
+            _ => error.into(),
         }
-        let lengths = if self.until_done {
-            Some(Lengths::begin(&mut trainer)?)
-        } else {
-            None
-        };
-        config.settings.iterations = trainer.settings().iterations;
-        std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
-        let lock = match early {
-            Some(lock) => lock,
-            None => Lock::of(&out)?,
-        };
-        // Another run may have come and gone since.
-        outputs::check_folder(&out, self.force)?;
-        // Only now: a mistake in the arguments or the scene costs no earlier results.
-        outputs::clear_folder(&out)?;
+    })?;
+    let trainer = during("reading the scene", || -> Result<_, Failure> {
+        Ok(Trainer::resume(run, config.open_scene()?)?)
+    })?;
+    config.changes = trainer.run().changes().to_vec();
+    say!(
+        "going on after iteration {} of {}",
+        trainer.iteration(),
+        trainer.settings().iterations
+    );
+    for change in &changes {
+        say!("{}", consequence(change, trainer.schedule().iterations));
+    }
+    if config != found {
         io::write_json(&out.join(CONFIG_FILE), &config)?;
-        Ok(Started {
-            checkpoints: Checkpoints::new(&out, trainer.settings(), None),
-            out,
-            config,
-            trainer,
-            lengths,
-            _lock: lock,
-        })
     }
-
-    /// The run in the results' folder.
-    fn go_on(&self) -> Result<Started, Failure> {
-        let mut asked = Table::new();
-        if let Some(Profile::Paper) = self.profile {
-            for profile in differences(&Settings::paper(), &Settings::default()) {
-                config::insert(&mut asked, &profile.setting, Value::try_from(profile.here)?)?;
-            }
-        }
-        config::merge(&mut asked, self.table()?);
-        let scene = asked.get("scene").and_then(Value::as_str).map(Path::new);
-        let scene = scene.map(absolute).transpose()?;
-        let out = self.out(scene.as_deref())?;
-        let found = Config::of_run(&out)?;
-        let lock = Lock::of(&out)?;
-        let mut config = config::from_table(asked, &found)?;
-        config.run.scene = scene.or_else(|| found.run.scene.clone());
-        found.check_reading(&config.run)?;
-
-        let mut run = checkpoints::open(&out, &config)?;
-        let edited = differences(&found.settings, run.settings());
-        let changed = run.change(config.settings.clone(), self.allow_change);
-        let changes = changed.map_err(|error| -> Failure {
-            match &error {
-                TrainError::OtherSetting { setting, .. }
-                    if edited.iter().any(|edit| edit.setting == *setting) =>
-                {
-                    format!("{}: {error}", out.join(CONFIG_FILE).display()).into()
-                }
-                _ => error.into(),
-            }
-        })?;
-        let trainer = during("reading the scene", || -> Result<_, Failure> {
-            Ok(Trainer::resume(run, config.open_scene()?)?)
-        })?;
-        config.changes = trainer.run().changes().to_vec();
-        say!(
-            "going on after iteration {} of {}",
-            trainer.iteration(),
-            trainer.settings().iterations
-        );
-        for change in &changes {
-            say!("{}", consequence(change, trainer.schedule().iterations));
-        }
-        if config != found {
-            io::write_json(&out.join(CONFIG_FILE), &config)?;
-        }
-        let last = Some(trainer.iteration());
-        let mut checkpoints = Checkpoints::new(&out, trainer.settings(), last);
-        if !changes.is_empty() {
-            // What config.json says, the checkpoint says too.
-            checkpoints.save(&trainer)?;
-        }
-        Ok(Started {
-            out,
-            config,
-            trainer,
-            checkpoints,
-            lengths: None,
-            _lock: lock,
-        })
+    let last = Some(trainer.iteration());
+    let mut checkpoints = Checkpoints::new(&out, trainer.settings(), last);
+    if !changes.is_empty() {
+        // What config.json says, the checkpoint says too.
+        checkpoints.save(&trainer)?;
     }
-
-    /// The folder of the results of a run on this scene.
-    fn out(&self, scene: Option<&Path>) -> Result<PathBuf, Failure> {
-        if let Some(out) = &self.out {
-            return Ok(out.clone());
-        }
-        let name = scene.and_then(Path::file_name).ok_or(
-            "no scene: give --scene DIR, or --config FILE with a line `scene = \"DIR\"` (and --out DIR for where the results go)",
-        )?;
-        Ok(Path::new("out").join(name))
-    }
-
-    /// What is asked for: file, then flags, then `--set`.
-    fn table(&self) -> Result<Table, Failure> {
-        let mut table = match &self.config {
-            Some(path) => config::read_table(path)?,
-            None => Table::new(),
-        };
-        let number = |n: usize| Value::Integer(i64::try_from(n).unwrap_or(i64::MAX));
-        let path = |p: &Path| Value::String(p.to_string_lossy().into_owned());
-        let flags = [
-            ("scene", self.scene.as_deref().map(path)),
-            ("images", self.images.as_deref().map(path)),
-            ("iterations", self.iterations.map(number)),
-            ("downscale", self.downscale.map(number)),
-            ("static", self.is_static.then_some(Value::Boolean(true))),
-            (
-                "distortion",
-                self.distortion.map(|d| Value::String(d.name().to_owned())),
-            ),
-            (
-                "backend",
-                self.backend.map(|b| Value::String(b.name().to_owned())),
-            ),
-            (
-                "seed",
-                self.seed
-                    .map(|s| Value::Integer(i64::try_from(s).unwrap_or(i64::MAX))),
-            ),
-            ("blur.model", self.blur.map(Blur::model)),
-        ];
-        for (key, value) in flags {
-            if let Some(value) = value {
-                config::insert(&mut table, key, value)?;
-            }
-        }
-        for assignment in &self.set {
-            config::set(&mut table, assignment)?;
-        }
-        Ok(table)
-    }
+    Ok(Started {
+        out,
+        config,
+        trainer,
+        checkpoints,
+        lengths: None,
+        _lock: lock,
+    })
 }
 
 /// What a change means for the rest of a run whose schedule is one of so many iterations.
@@ -483,15 +326,6 @@ fn to_go_on(out: &Path) -> String {
     let program = program.map_or("limpid".into(), PathBuf::from);
     let word = |path: &Path| quoted(&path.display().to_string());
     format!("{} train --resume --out {}", word(&program), word(out))
-}
-
-fn minutes(text: &str) -> Result<f64, String> {
-    let minutes: f64 = text.parse().map_err(|e| format!("{e}"))?;
-    if minutes.is_finite() && minutes > 0.0 {
-        Ok(minutes)
-    } else {
-        Err("must be a positive number of minutes, such as 5 or 0.5".to_owned())
-    }
 }
 
 fn absolute(scene: &Path) -> Result<PathBuf, Failure> {
