@@ -38,7 +38,8 @@ impl Kept {
     }
 
     /// Whether it holds a run that asked for the same as this one.
-    pub(crate) fn holds(&self, case: &Case) -> bool {
+    #[must_use]
+    pub fn holds(&self, case: &Case) -> bool {
         let has_seed = |row: &Row| row.cells.iter().any(|c| c.values.contains_key(&case.seed));
         self.row(case).is_some_and(has_seed)
     }

@@ -2,8 +2,8 @@
 
 use clap::{Args, Parser, Subcommand};
 use limpid_lab::{
-    Children, Engine, Kept, LabError, Outcome, Places, Plan, Program, Scenes, Study, Tally, draw,
-    execute, failure, gather, markdown, run_all,
+    Case, Children, Engine, Kept, LabError, Outcome, Places, Plan, Program, Scenes, Study, Tally,
+    draw, execute, failure, gather, markdown, run_all,
 };
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -197,8 +197,8 @@ impl StudyArguments {
             folder: self.scenes.clone(),
             links: places.links(),
         };
-        let kept = asked.kept.as_ref();
-        let plan = Plan::new(asked.parts(), program, &scenes, places, kept, &this)?;
+        let is_kept = |case: &Case| asked.kept.as_ref().is_some_and(|kept| kept.holds(case));
+        let plan = Plan::new(asked.parts(), program, &scenes, places, is_kept, &this)?;
         let file = places.plan(&asked.name);
         plan.write(&file)?;
         say(&format!("{} runs: {}", plan.runs.len(), file.display()));

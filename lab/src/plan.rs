@@ -1,9 +1,8 @@
 //! `runs.json`: all runs of a study, for any scheduler: one command a run, in any order.
 
 use crate::error::LabError;
-use crate::expand::{Run, cases};
+use crate::expand::{Case, Run, cases};
 use crate::hash::hex;
-use crate::kept::Kept;
 use crate::scenes::Scenes;
 use crate::study::Study;
 use serde::{Deserialize, Serialize};
@@ -169,7 +168,7 @@ fn source(checkout: &Path) -> Option<(String, bool)> {
 }
 
 impl Plan {
-    /// The runs of a study but for those that are kept; `lab` is this program, which schedulers start.
+    /// The runs of a study but for those that are kept elsewhere; `lab` is this program, which schedulers start.
     ///
     /// # Errors
     /// The study cannot be expanded, or a scene lacks what it asks for.
@@ -178,7 +177,7 @@ impl Plan {
         program: Program,
         scenes: &Scenes,
         places: &Places,
-        kept: Option<&Kept>,
+        is_kept: impl Fn(&Case) -> bool,
         lab: &Path,
     ) -> Result<Self, LabError> {
         let (name, study, path) = study;
@@ -187,7 +186,7 @@ impl Plan {
         let runs = absolute(places.runs())?;
         let mut planned: Vec<PlannedRun> = Vec::new();
         for case in cases(study, path, &program.fingerprint)? {
-            if kept.is_some_and(|kept| kept.holds(&case)) {
+            if is_kept(&case) {
                 continue;
             }
             if let Some(there) = planned.iter_mut().find(|run| run.id == case.run.id) {

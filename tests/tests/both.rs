@@ -170,6 +170,18 @@ fn before_a_lens_goes_its_focus_is_tried_out() {
         settings.camera.path = false;
         settings.camera.aperture = 0.09;
         settings.learning_rates.camera_focus = 0.0;
+        // Gaussians that learn fast have sharpened under the lens by then, wrong as it is.
+        let rates = &mut settings.learning_rates;
+        for rate in [
+            &mut rates.means,
+            &mut rates.sh_dc,
+            &mut rates.sh_rest,
+            &mut rates.scales,
+            &mut rates.opacity,
+            &mut rates.rotations,
+        ] {
+            *rate /= 4.0;
+        }
         let (trainer, _) = behind_first_trial(scene(0.0, 0.06, &device), settings, &device);
         let figures = camera_figures(&trainer);
         assert!(figures.aperture > 0.0, "{name}: the lens is gone");

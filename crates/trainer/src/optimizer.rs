@@ -100,7 +100,10 @@ pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize
         Group::CameraAperture if schedule.blur_moments.last() >= Some(&it) => 0.0,
         Group::CameraAperture => r.camera_aperture * camera,
         Group::CameraShutter => r.camera_shutter * camera,
-        Group::FrameOffset => return rigid(r.frame_offset * camera, columns),
+        Group::FrameOffset => {
+            let pace = schedule.path_pace().max(1.0);
+            return rigid(r.frame_offset * camera * pace, columns);
+        }
         Group::FrameGain => r.frame_gain * camera,
     })
 }

@@ -359,7 +359,7 @@ pub struct LearningRates {
     pub camera_aperture: f64,
     /// Time for which the shutter is open, in units of frames.
     pub camera_shutter: f64,
-    /// Offsets from the given poses, as paths.
+    /// Offsets from the given poses, as paths; no slower in long runs.
     pub frame_offset: f64,
     /// Logarithms of the frames' gains.
     pub frame_gain: f64,
