@@ -61,18 +61,13 @@ struct StudyArguments {
     /// The program that trains [default: limpid beside this one].
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
-    #[command(flatten)]
-    kept: KeptArgument,
+    /// An earlier report of the study: what it holds is not run again, and stands in the new report too.
+    // Not in a struct of its own: with a part that is flattened, clap takes this whole one for absent.
+    #[arg(long, value_name = "STUDY.json")]
+    kept: Option<PathBuf>,
     /// So many runs at a time, of one thread each [default: one a core].
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
-}
-
-#[derive(Debug, Args)]
-struct KeptArgument {
-    /// An earlier report of the study: what it holds is not run again, and stands in the new report too.
-    #[arg(long, value_name = "STUDY.json")]
-    kept: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
@@ -82,8 +77,9 @@ struct GatherArguments {
     /// Where everything is.
     #[arg(long, value_name = "DIR", default_value = "out/lab")]
     out: PathBuf,
-    #[command(flatten)]
-    kept: KeptArgument,
+    /// An earlier report of the study, which stands in the new one too.
+    #[arg(long, value_name = "STUDY.json")]
+    kept: Option<PathBuf>,
     /// Where tables, plot and JSON go [default: OUT/STUDY].
     #[arg(long, value_name = "DIR")]
     to: Option<PathBuf>,
@@ -100,7 +96,7 @@ fn main() -> ExitCode {
         (Some(Command::Gather(arguments)), _) => arguments.gather(),
         (Some(Command::One { plan, run }), _) => one(&plan, &run),
         (None, Some(arguments)) => arguments.run_and_gather(),
-        (None, None) => Ok(ExitCode::from(2)),
+        (None, None) => Err(LabError::Asked("no study is named".to_owned())),
     };
     result.unwrap_or_else(|error| {
         say(&format!("lab: {error}"));
@@ -132,7 +128,7 @@ struct Asked {
 
 impl Asked {
     /// Reads a study by its name in the repository, or by its path.
-    fn read(given: &str, out: &Path, kept: &KeptArgument) -> Result<Self, LabError> {
+    fn read(given: &str, out: &Path, kept: Option<&Path>) -> Result<Self, LabError> {
         let given = Path::new(given);
         let path = if given.extension().is_some() {
             given.to_owned()
@@ -162,7 +158,6 @@ impl Asked {
             return Err(LabError::Asked(problem));
         }
         let study = Study::read(&path)?;
-        let kept = kept.kept.as_deref();
         Ok(Self {
             kept: kept
                 .map(|kept| Kept::read(kept, &name, &study))
@@ -183,7 +178,7 @@ impl Asked {
 
 impl StudyArguments {
     fn plan(&self) -> Result<Plan, LabError> {
-        let asked = Asked::read(&self.study, &self.out, &self.kept)?;
+        let asked = Asked::read(&self.study, &self.out, self.kept.as_deref())?;
         let places = &asked.places;
         let this = std::env::current_exe();
         let this = this.map_err(|e| LabError::Asked(format!("this program is nowhere: {e}")))?;
@@ -238,7 +233,7 @@ impl StudyArguments {
 
     fn run_and_gather(&self) -> Result<ExitCode, LabError> {
         let code = self.run()?;
-        let asked = Asked::read(&self.study, &self.out, &self.kept)?;
+        let asked = Asked::read(&self.study, &self.out, self.kept.as_deref())?;
         write_report(&asked, &asked.places.study(&asked.name))?;
         Ok(code)
     }
@@ -283,7 +278,7 @@ fn summary(tally: &Tally) {
 
 impl GatherArguments {
     fn gather(&self) -> Result<ExitCode, LabError> {
-        let asked = Asked::read(&self.study, &self.out, &self.kept)?;
+        let asked = Asked::read(&self.study, &self.out, self.kept.as_deref())?;
         let folder = asked.places.study(&asked.name);
         write_report(&asked, self.to.as_ref().unwrap_or(&folder))?;
         Ok(ExitCode::SUCCESS)
@@ -335,4 +330,26 @@ fn one(plan: &Path, id: &str) -> Result<ExitCode, LabError> {
             ExitCode::FAILURE
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_study_is_named_with_and_without_a_command() {
+        let kept = ["demo-study", "--kept", "earlier.json"];
+        for command in [None, Some("run"), Some("plan"), Some("gather")] {
+            let line = ["lab"].into_iter().chain(command).chain(kept);
+            let read = Arguments::try_parse_from(line).expect("arguments");
+            let (study, earlier) = match (read.command, read.all) {
+                (Some(Command::Run(asked) | Command::Plan { study: asked, .. }), _)
+                | (None, Some(asked)) => (asked.study, asked.kept),
+                (Some(Command::Gather(asked)), _) => (asked.study, asked.kept),
+                read => panic!("{command:?}: {read:?}"),
+            };
+            assert_eq!(study, "demo-study", "{command:?}");
+            assert_eq!(earlier.as_deref(), Some(Path::new("earlier.json")));
+        }
+    }
 }
