@@ -86,16 +86,13 @@ pub(crate) fn fit(
 /// What to expect of the length of a run, by what is in RESULTS.md (What a shorter run loses).
 fn expected_loss(iterations: usize) -> &'static str {
     match iterations {
-        10_000.. => {
-            "no loss is expected against longer runs: from 10,000 iterations on they gained nothing where frames are blurred"
+        5000.. => {
+            "no loss is expected against longer runs: from 5,000 iterations on they gained nothing where frames are blurred"
         }
-        3000.. => {
-            "a loss of up to 0.5 dB against 10,000 iterations is expected, and none where motion blurs the frames"
-        }
-        1500.. => "a loss of up to 2 dB against 3,000 iterations is expected",
-        1000.. => "a loss of 1 to 5 dB against 3,000 iterations is expected",
-        500.. => "a loss of 2 to 7 dB against 3,000 iterations is expected",
-        _ => "a loss of 5 to 10 dB against 3,000 iterations is expected",
+        2500.. => "a loss of up to 0.5 dB against 5,000 iterations is expected",
+        1000.. => "a loss of 0.5 to 2 dB against 5,000 iterations is expected",
+        500.. => "a loss of 1.5 to 3 dB against 5,000 iterations is expected",
+        _ => "a loss of 2 to 6 dB against 5,000 iterations is expected",
     }
 }
 

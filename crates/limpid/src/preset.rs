@@ -8,7 +8,7 @@ use toml::Table;
 pub(crate) enum Preset {
     /// A first look.
     Draft,
-    /// Nearly all of the quality in a third of the time.
+    /// Nearly as much, in half of the time.
     Balanced,
     /// The defaults.
     Full,

@@ -4,6 +4,7 @@
 
 use std::error::Error;
 use std::fs;
+use std::io::{Read as _, Seek as _};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -38,10 +39,14 @@ fn resumed(out: &Path) -> Command {
 
 /// Starts it, and kills it after a while, unless it is done by then. Says whether it was killed.
 fn killed(command: &mut Command, after: Duration) -> Result<bool, Box<dyn Error>> {
-    let mut child: Child = command.stderr(Stdio::null()).spawn()?;
+    let mut said = tempfile::tempfile()?;
+    let mut child: Child = command.stderr(said.try_clone()?).spawn()?;
     std::thread::sleep(after);
     if let Some(status) = child.try_wait()? {
-        assert!(status.success(), "{command:?}: {status}");
+        let mut text = String::new();
+        said.rewind()?;
+        said.read_to_string(&mut text)?;
+        assert!(status.success(), "{command:?}: {status}\n{text}");
         return Ok(false);
     }
     child.kill()?;

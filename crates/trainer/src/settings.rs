@@ -48,7 +48,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            iterations: 10_000,
+            iterations: 5000,
             seed: 1,
             gaussians: GaussianSettings::default(),
             motion: MotionSettings::default(),
