@@ -10,6 +10,7 @@ use crate::tensors::{constant, host, leaf, tensor};
 use crate::world::World;
 use burn::tensor::Tensor;
 use capture::RIGID;
+use std::f64::consts::TAU;
 use std::fmt;
 use tracing::trace_span;
 
@@ -137,25 +138,27 @@ impl CameraBlur {
             let own = self.path(frame);
             let length = usual_px / self.focal[frame];
             let mut best = (now[frame], own.clone());
-            let mut candidates = vec![reversed(&own)];
             // A path that comes back on itself looks the same both ways, so that no gradient opens it.
             if f64::from(speed(&own)) < 0.3 * length {
-                candidates.extend(others(&own, 0, &[0.35, 0.7], length));
+                let open = Ways::new(&own, 0, [0.7, 0.35].map(|times| times * length));
+                self.search(world, look, &open, &mut best)?;
             }
-            self.try_each(world, look, candidates, &mut best)?;
             // 2.5 dB under the others, or hardly moved: it does not leave a wrong direction by itself.
             if now[frame] > 1.8 * usual || lengths[frame] < 0.4 * usual_px {
-                let mut fresh = (f64::INFINITY, vec![0.0; own.len()]);
-                let straight = others(&fresh.1, 0, &[0.5, 1.0, 2.0], length);
-                self.try_each(world, look, straight, &mut fresh)?;
-                for bend in 1..own.len() / RIGID {
-                    let bent = others(&fresh.1, bend, &[2.0, 4.0], length);
-                    self.try_each(world, look, bent, &mut fresh)?;
+                let still = vec![0.0; own.len()];
+                let mut fresh = (f64::INFINITY, still.clone());
+                let straight = Ways::new(&still, 0, [1.0, 0.5, 2.0].map(|times| times * length));
+                self.search(world, look, &straight, &mut fresh)?;
+                for term in 1..own.len() / RIGID {
+                    let bent = Ways::new(&fresh.1, term, [2.0, 4.0].map(|times| times * length));
+                    self.search(world, look, &bent, &mut fresh)?;
                 }
+                self.try_path(world, look, reversed(&fresh.1), &mut fresh)?;
                 if fresh.0 < best.0 {
                     best = fresh;
                 }
             }
+            self.try_path(world, look, reversed(&best.1), &mut best)?;
             if last && lengths[frame] < 1.0 {
                 // What does not pay is left out for good.
                 let still = vec![0.0; own.len()];
@@ -172,25 +175,48 @@ impl CameraBlur {
         Ok(changed)
     }
 
-    /// Puts the path that explains a frame best in the place of `best`, with its error, if it is better.
-    fn try_each(
+    /// Puts the best of some paths in the place of `best`, with its error, if it is better: in the direction that explains the frame
+    /// best at the first length, the best length.
+    fn search(
         &mut self,
         world: &World,
         look: &Look<'_>,
-        paths: Vec<Vec<f32>>,
+        ways: &Ways,
         best: &mut (f64, Vec<f32>),
     ) -> Result<(), TrainError> {
-        let Some(frame) = look.frame else {
+        let Some((first, others)) = ways.lengths.split_first() else {
             return Ok(());
         };
-        for path in paths {
-            self.set_path(frame, &path);
-            let error = self.error(world, look)?;
-            if error < best.0 {
-                *best = (error, path);
+        let (mut least, mut direction) = (f64::INFINITY, 0.0);
+        for angle in ways.angles() {
+            let error = self.try_path(world, look, ways.path(angle, *first), best)?;
+            if error < least {
+                (least, direction) = (error, angle);
             }
         }
+        for length in others {
+            self.try_path(world, look, ways.path(direction, *length), best)?;
+        }
         Ok(())
+    }
+
+    /// The error of a frame with another path, which takes the place of `best` if it is better.
+    fn try_path(
+        &mut self,
+        world: &World,
+        look: &Look<'_>,
+        path: Vec<f32>,
+        best: &mut (f64, Vec<f32>),
+    ) -> Result<f64, TrainError> {
+        let Some(frame) = look.frame else {
+            return Ok(f64::INFINITY);
+        };
+        self.set_path(frame, &path);
+        let error = self.error(world, look)?;
+        if error < best.0 {
+            *best = (error, path);
+        }
+        Ok(error)
     }
 
     /// Leaves out the lens, and then all paths, if they do not pay; returns the frames' errors with what stays, and what share of
@@ -360,20 +386,40 @@ fn share_more(errors: &[f64], others: &[f64]) -> f64 {
     total(errors) / total(others) - 1.0
 }
 
-/// Paths whose coefficients of s^(k + 1) go in eight directions, so many times `length` (rad), and that are otherwise as
-/// `path`.
-fn others(path: &[f32], k: usize, times: &[f64], length: f64) -> Vec<Vec<f32>> {
-    let directions = (0..8).map(|i| std::f64::consts::TAU * f64::from(i) / 8.0);
-    let ways = directions.flat_map(|angle| times.iter().map(move |times| (angle, times * length)));
-    ways.map(|(angle, length)| {
-        let mut path = path.to_vec();
-        let numbers = &mut path[k * RIGID..(k + 1) * RIGID];
+/// Paths that are as `path` but for the coefficients of s^(term + 1), which lead by one of `lengths` (rad) in some direction
+/// across the picture.
+struct Ways {
+    path: Vec<f32>,
+    term: usize,
+    lengths: Vec<f64>,
+}
+
+impl Ways {
+    fn new<const N: usize>(path: &[f32], term: usize, lengths: [f64; N]) -> Self {
+        Self {
+            path: path.to_vec(),
+            term,
+            lengths: lengths.to_vec(),
+        }
+    }
+
+    fn path(&self, angle: f64, length: f64) -> Vec<f32> {
+        let mut path = self.path.clone();
+        let numbers = &mut path[self.term * RIGID..(self.term + 1) * RIGID];
         numbers.fill(0.0);
         numbers[0] = (length * angle.cos()) as f32;
         numbers[1] = (length * angle.sin()) as f32;
         path
-    })
-    .collect()
+    }
+
+    /// Eight directions, or half of them where the opposite ones are the same paths the other way round: only movers tell the two
+    /// apart, and once the rest is found.
+    fn angles(&self) -> impl Iterator<Item = f64> + use<> {
+        let rest = self.path(0.0, 0.0);
+        let turns_round = self.term.is_multiple_of(2) && reversed(&rest) == rest;
+        let number = if turns_round { 4 } else { 8 };
+        (0..number).map(|i| TAU * f64::from(i) / 8.0)
+    }
 }
 
 /// How far a path would lead at the speed of the middle of the exposure, focal lengths.
@@ -390,7 +436,34 @@ fn reversed(path: &[f32]) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::Worth;
+    use super::{RIGID, TAU, Ways, Worth, reversed};
+
+    #[test]
+    fn every_direction_is_tried_one_way_or_the_other() {
+        let mut bent = vec![0.0; 3 * RIGID];
+        bent[RIGID] = 0.3;
+        let mut twisted = bent.clone();
+        twisted[2 * RIGID + 1] = 0.1;
+        for (path, term, tries) in [
+            (&bent, 0, 4),
+            (&bent, 1, 8),
+            (&bent, 2, 4),
+            (&twisted, 0, 8),
+        ] {
+            let ways = Ways::new(path, term, [0.2]);
+            let tried: Vec<_> = ways.angles().map(|angle| ways.path(angle, 0.2)).collect();
+            assert_eq!(tried.len(), tries, "{term}");
+            let is_near = |one: &[f32], other: &[f32]| {
+                one.iter().zip(other).all(|(a, b)| (a - b).abs() < 1e-6)
+            };
+            for i in 0..8 {
+                let path = ways.path(TAU * f64::from(i) / 8.0, 0.2);
+                let is_tried =
+                    |tried: &Vec<f32>| is_near(tried, &path) || is_near(&reversed(tried), &path);
+                assert!(tried.iter().any(is_tried), "{term}: {i}");
+            }
+        }
+    }
 
     #[test]
     fn frames_need_both_where_both_are_worth_something() {
