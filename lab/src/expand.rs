@@ -52,7 +52,7 @@ pub struct Case {
     pub scene: String,
     /// The arm's name.
     pub arm: String,
-    /// What the arm asks for, see [`Arm::asks`].
+    /// What the arm asks for, as a hash (`Arm::asks`).
     pub asks: String,
     /// Seed.
     pub seed: u64,
