@@ -338,4 +338,25 @@ score = ["all"]
         }
         assert!(names.iter().any(|n| n == "demo-study"), "{names:?}");
     }
+
+    #[test]
+    fn presets_in_studies_are_those_of_the_program() {
+        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+        for (study, before) in [("presets", ""), ("trade", "preset ")] {
+            let path = here.join("studies").join(study).with_extension("toml");
+            let study = Study::read(&path).unwrap_or_else(|e| panic!("{e}"));
+            for preset in ["draft", "balanced", "full"] {
+                let file = here.join("../crates/limpid/presets").join(preset);
+                let text = std::fs::read_to_string(file.with_extension("toml")).expect("a preset");
+                let mut said: Table = toml::from_str(&text).expect("TOML");
+                let name = format!("{before}{preset}");
+                let variant = study.variants.iter().find(|v| v.name == name);
+                let mut set = variant.expect("a variant").set.clone();
+                // The blur model is the study's own choice.
+                set.remove("blur");
+                said.remove("blur");
+                assert_eq!(set, said, "{name} in {}", path.display());
+            }
+        }
+    }
 }
