@@ -139,6 +139,57 @@ fn rows_step_only_when_drawn_and_then_as_if_they_were_alone() {
 }
 
 #[test]
+fn first_rows_step_at_their_own_rates() {
+    property("first rows", 40, |u| {
+        let rows = u.int_in_range(1..=9_usize)?;
+        let columns = u.int_in_range(2..=7_usize)?;
+        let first = u.int_in_range(0..=rows)?;
+        let lead = LearningRate::Uniform(0.3);
+        let rest = LearningRate::first_and_rest(0.1, 1, 0.02, columns);
+        let rate = lead.then(first, &rest, columns);
+        for (name, device) in devices() {
+            let of = |seed: u64| {
+                tensor(
+                    &noise(rows * columns, seed),
+                    [rows, columns],
+                    &device,
+                    DType::F32,
+                )
+            };
+            let mut parameter = of(1);
+            let mut state = AdamState::new(&parameter);
+            // Both parts by themselves, as parameters of their own.
+            let parts = [(0, first, &lead), (first, rows - first, &rest)];
+            let mut parts: Vec<_> = parts
+                .into_iter()
+                .filter(|(_, count, _)| *count > 0)
+                .map(|(from, count, rate)| {
+                    let part = of(1).narrow(0, from, count);
+                    let state = AdamState::new(&part);
+                    (from, count, rate, part, state)
+                })
+                .collect();
+            for k in 0..3 {
+                adam_step(&mut parameter, of(2 + k), &mut state, &together(&rate));
+                for (from, count, rate, part, state) in &mut parts {
+                    let gradient = of(2 + k).narrow(0, *from, *count);
+                    adam_step(part, gradient, state, &together(rate));
+                }
+            }
+            for (from, count, _, part, _) in parts {
+                let found = values(parameter.clone().narrow(0, from, count));
+                assert_eq!(
+                    found,
+                    values(part),
+                    "{name}: {count} rows from {from} of {rows}"
+                );
+            }
+        }
+        Ok(())
+    });
+}
+
+#[test]
 fn steps_of_rows_follow_edits_and_files() {
     for (name, device) in devices() {
         let parameter = tensor(&noise(10, 3), [5, 2], &device, DType::F32);

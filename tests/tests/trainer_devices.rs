@@ -104,6 +104,12 @@ fn image_losses() {
     }
 }
 
+/// Rates of which the first so many rows have others.
+fn first_rows(rows: usize, columns: usize) -> LearningRate {
+    let rest = LearningRate::first_and_rest(0.1, 1, 0.02, columns);
+    LearningRate::Uniform(0.05).then(rows, &rest, columns)
+}
+
 #[test]
 fn adam() {
     for (rows, rates, drawn) in [
@@ -126,10 +132,15 @@ fn adam() {
             Some(vec![6, 0, 3]),
         ),
         (0, LearningRate::Uniform(0.1), None),
+        (7, first_rows(3, 5), None),
+        (2000, first_rows(1234, 48), None),
+        (7, first_rows(7, 2), None),
     ] {
         let columns = match &rates {
             LearningRate::Uniform(_) => 3,
-            LearningRate::PerColumn(rates) => rates.len(),
+            LearningRate::PerColumn(rates) | LearningRate::FirstRows { rest: rates, .. } => {
+                rates.len()
+            }
         };
         let (count, shape) = (rows * columns, [rows, columns]);
         // All sizes that a gradient has, and none.

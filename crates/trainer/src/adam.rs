@@ -20,6 +20,15 @@ pub enum LearningRate {
     Uniform(f64),
     /// One rate per column.
     PerColumn(Vec<f64>),
+    /// The first rows of a parameter whose rows step together have other rates than those behind them, both per column.
+    FirstRows {
+        /// How many they are.
+        rows: usize,
+        /// Their rates.
+        first: Vec<f64>,
+        /// Those of the others.
+        rest: Vec<f64>,
+    },
 }
 
 impl LearningRate {
@@ -35,19 +44,36 @@ impl LearningRate {
         )
     }
 
-    /// The rate of each column.
-    fn per_column(&self, columns: usize) -> Vec<f64> {
-        match self {
-            Self::Uniform(rate) => vec![*rate; columns],
-            Self::PerColumn(rates) => {
-                assert_eq!(
-                    rates.len(),
-                    columns,
-                    "one learning rate per column of the parameter"
-                );
-                rates.clone()
-            }
+    /// This rate for the first so many rows, and another for those behind them, of a parameter with so many columns.
+    ///
+    /// # Panics
+    /// Panics if one of them tells first rows apart, or has another number of columns.
+    #[must_use]
+    pub fn then(&self, rows: usize, rest: &Self, columns: usize) -> Self {
+        if self == rest || rows == 0 {
+            return rest.clone();
         }
+        let [first, rest] = [self, rest].map(|rate| {
+            let (lead, rates) = rate.per_column(columns);
+            assert!(lead.is_none(), "one rate for the rows of a part");
+            rates
+        });
+        Self::FirstRows { rows, first, rest }
+    }
+
+    /// The first rows that have their own rates, with these, and the rates of all others; one for each column.
+    fn per_column(&self, columns: usize) -> (Option<(usize, Vec<f64>)>, Vec<f64>) {
+        let (lead, rates) = match self {
+            Self::Uniform(rate) => (None, vec![*rate; columns]),
+            Self::PerColumn(rates) => (None, rates.clone()),
+            Self::FirstRows { rows, first, rest } => (Some((*rows, first.clone())), rest.clone()),
+        };
+        let all = lead.iter().map(|(_, rates)| rates).chain([&rates]);
+        assert!(
+            all.into_iter().all(|rates| rates.len() == columns),
+            "one learning rate per column of the parameter"
+        );
+        (lead, rates)
     }
 }
 
@@ -216,7 +242,8 @@ pub struct AdamStep<'a> {
 ///
 /// # Panics
 /// Panics if the shapes or dtypes of `param`, `grad` and `state` differ, if the number of learning rates is not the number of
-/// columns, or if a row is drawn that the parameter does not have.
+/// columns, if more rows have their own rate than there are or rows do not step together, or if a row is drawn that the parameter
+/// does not have.
 pub fn adam_step(
     param: &mut Tensor<2>,
     grad: Tensor<2>,
@@ -242,10 +269,14 @@ pub fn adam_step(
             SteppedRows::Drawn(step.drawn.iter().map(step_row).collect())
         }
     };
-    let update = AdamUpdate {
-        rates: step.rate.per_column(shape[1]),
-        rows,
-    };
+    let (lead, rates) = step.rate.per_column(shape[1]);
+    if let Some((first, _)) = &lead {
+        assert!(
+            *first <= shape[0] && matches!(rows, SteppedRows::All(_)),
+            "the first of rows that step together"
+        );
+    }
+    let update = AdamUpdate { rates, lead, rows };
     let (autodiff, device, dtype) = (param.is_autodiff(), param.device().inner(), param.dtype());
     // What stays behind must not hold the buffer, or it would be copied.
     let take = |tensor: &mut Tensor<2>| {

@@ -61,14 +61,31 @@ pub(crate) fn edit_of(parameter: &Parameter, edit: &RowEdit) -> Option<RowEdit> 
     }
 }
 
-/// The learning rate of a parameter at iteration `it`; `columns` are the parameter's.
-pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize) -> LearningRate {
+/// The learning rate of a parameter at iteration `it`; `columns` are the parameter's, and of Gaussians so many move.
+pub(crate) fn learning_rate(
+    plan: &Plan,
+    parameter: &Parameter,
+    (columns, num_dynamic): (usize, usize),
+    it: usize,
+) -> LearningRate {
+    let at_pace = |pace| rate_at_pace(plan, parameter.group, columns, it, pace);
+    let schedule = &plan.schedule;
+    match parameter.rows() {
+        Rows::Gaussians => {
+            let rest = at_pace(schedule.static_pace());
+            at_pace(schedule.dynamic_pace()).then(num_dynamic, &rest, columns)
+        }
+        Rows::DynamicGaussians | Rows::Frames | Rows::Whole => at_pace(1.0),
+    }
+}
+
+/// The learning rate of a group with so many columns; what Gaussians are learns `pace` times as fast.
+fn rate_at_pace(plan: &Plan, group: Group, columns: usize, it: usize, pace: f64) -> LearningRate {
     let (r, schedule) = (&plan.settings.learning_rates, &plan.schedule);
     let size = plan.survey.scene_size;
     let decay = |share: f64, length: usize| schedule.decay(it, share, length);
     let motion = decay(r.motion_final_share, REFERENCE_ITERATIONS);
     let camera = decay(r.camera_final_share, REFERENCE_ITERATIONS);
-    let pace = schedule.gaussian_pace();
     LearningRate::Uniform(match group {
         Group::Means => {
             let start = r.means * pace;
@@ -95,7 +112,7 @@ pub(crate) fn learning_rate(plan: &Plan, group: Group, columns: usize, it: usize
         Group::CameraPath => {
             return rigid(r.camera_path * camera * schedule.path_pace(), columns);
         }
-        Group::CameraFocus => r.camera_focus * camera,
+        Group::CameraFocus => r.camera_focus * camera * schedule.path_pace().max(1.0),
         // Before its frames have found their focus an aperture shrinks to nothing, where it has no gradient.
         Group::CameraAperture if schedule.blur_moments.last() >= Some(&it) => 0.0,
         Group::CameraAperture => r.camera_aperture * camera,

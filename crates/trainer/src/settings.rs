@@ -311,8 +311,8 @@ impl Default for LossSettings {
     }
 }
 
-/// Learning rates of the parameter groups. In runs of less than 3,000 iterations those of Gaussians are higher, see
-/// [`crate::schedule::Schedule::gaussian_pace`].
+/// Learning rates of the parameter groups. In shorter runs those of Gaussians are higher, see
+/// [`crate::schedule::Schedule::static_pace`] and [`crate::schedule::Schedule::dynamic_pace`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearningRates {
@@ -353,7 +353,7 @@ pub struct LearningRates {
     /// The camera's paths: turns, rad. Translations, in units of S, learn at a fifth of it. Runs of less than 3,000 iterations learn
     /// faster, longer ones slower ([`crate::schedule::Schedule::path_pace`]).
     pub camera_path: f64,
-    /// Disparities of focus (S / distance).
+    /// Disparities of focus (S / distance). Runs of less than 3,000 iterations learn faster, as with paths.
     pub camera_focus: f64,
     /// Radius of the lens, in units of S.
     pub camera_aperture: f64,

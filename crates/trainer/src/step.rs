@@ -146,9 +146,11 @@ impl Trainer {
     fn step_parameters(&mut self, it: usize, frame: usize, gradients: Vec<Option<Tensor<2>>>) {
         let _span = trace_span!("adam").entered();
         let Run { plan, state, .. } = &mut self.run;
+        let num_dynamic = state.model.world.num_dynamic;
         for ((parameter, tensor), grad) in state.model.parameters_mut().into_iter().zip(gradients) {
             if let Some(grad) = grad {
-                let rate = learning_rate(plan, parameter.group, tensor.dims()[1], it);
+                let sizes = (tensor.dims()[1], num_dynamic);
+                let rate = learning_rate(plan, &parameter, sizes, it);
                 let step = AdamStep {
                     rate: &rate,
                     drawn: &[frame],

@@ -60,9 +60,21 @@ impl TrainerOps for CubeBackend {
         gradient: FloatTensor<Self>,
         update: AdamUpdate,
     ) -> AdamTensors<Self> {
-        let stepped = match &update.rows {
-            SteppedRows::All(steps) => vec![(0, gradient.meta.shape()[0], *steps)],
-            SteppedRows::Drawn(rows) => rows.iter().map(|(row, steps)| (*row, 1, *steps)).collect(),
+        let AdamUpdate { rates, lead, rows } = &update;
+        let stepped: Vec<(usize, usize, u32, &[f64])> = match rows {
+            SteppedRows::All(steps) => {
+                let first = lead.as_ref().map_or(0, |(rows, _)| *rows);
+                let lead = lead
+                    .iter()
+                    .map(|(rows, rates)| (0, *rows, *steps, &**rates));
+                let rest = (first, gradient.meta.shape()[0] - first, *steps, &**rates);
+                let all = lead.chain([rest]);
+                all.filter(|(_, rows, ..)| *rows > 0).collect()
+            }
+            SteppedRows::Drawn(rows) => {
+                let alone = rows.iter().map(|(row, steps)| (*row, 1, *steps, &**rates));
+                alone.collect()
+            }
         };
         if gradient.meta.num_elements() == 0 || stepped.is_empty() {
             return tensors;
@@ -71,8 +83,8 @@ impl TrainerOps for CubeBackend {
             [tensors.parameter, tensors.moment1, tensors.moment2].map(owned);
         let gradient = flat(gradient);
         // Rates go as plain numbers, two to a launch: a buffer of them would have to be copied to the device each time.
-        let runs: Vec<&[f64]> = update.rates.chunk_by(|a, b| a == b).collect();
-        for (first_row, rows, steps) in stepped {
+        for (first_row, rows, steps, rates) in stepped {
+            let runs: Vec<&[f64]> = rates.chunk_by(|a, b| a == b).collect();
             let [first_correction, second_correction] = corrections(steps).map(|c| c as f32);
             let mut from = 0;
             for pair in runs.chunks(2) {
@@ -91,7 +103,7 @@ impl TrainerOps for CubeBackend {
                     WindowLaunch::new(
                         first_row as u32,
                         rows as u32,
-                        update.rates.len() as u32,
+                        rates.len() as u32,
                         from as u32,
                         split as u32,
                         to as u32,

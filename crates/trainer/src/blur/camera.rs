@@ -13,6 +13,7 @@ use crate::TrainError;
 use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
 use crate::scene_shift::{SceneShift, Shared};
+use crate::schedule::PACED_ITERATIONS;
 use crate::settings::{CameraSettings, Settings};
 use crate::survey::Survey;
 use crate::tensors::{constant, host, leaf};
@@ -58,6 +59,8 @@ struct Moments {
     from: usize,
     /// Other paths are tried on every frame.
     trials: Vec<usize>,
+    /// The run is so short that focus has not come far by the first of them: every frame tries other distances then.
+    refocuses: bool,
 }
 
 impl Moments {
@@ -71,6 +74,7 @@ impl Moments {
         Self {
             from,
             trials: TRIALS.iter().enumerate().map(trial).collect(),
+            refocuses: n < PACED_ITERATIONS,
         }
     }
 }

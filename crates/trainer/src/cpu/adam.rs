@@ -35,6 +35,8 @@ pub(crate) enum SteppedRows {
 pub(crate) struct AdamUpdate {
     /// Learning rate of each column.
     pub(crate) rates: Vec<f64>,
+    /// So many rows, the first, have other rates, of each column; where all rows step together.
+    pub(crate) lead: Option<(usize, Vec<f64>)>,
     pub(crate) rows: SteppedRows,
 }
 
@@ -45,25 +47,22 @@ pub(crate) fn adam<T: Real>(
     [moment1, moment2]: [&mut [T]; 2],
     update: &AdamUpdate,
 ) {
-    let rates: Vec<T> = update.rates.iter().map(|rate| T::of(*rate)).collect();
-    let columns = rates.len();
+    let columns = update.rates.len();
     if param.is_empty() {
         return;
     }
+    let typed = |rates: &[f64]| rates.iter().map(|rate| T::of(*rate)).collect::<Vec<T>>();
+    let rates = typed(&update.rates);
     match &update.rows {
         SteppedRows::All(steps) => {
-            // Whole rows, at least a few hundred values long so that inner loops are not short.
-            let tile = rates.repeat(512_usize.div_ceil(columns));
-            let block = (BLOCK / tile.len()).max(1) * tile.len();
             let constants = Constants::new(*steps);
-            param
-                .par_chunks_mut(block)
-                .zip(grad.par_chunks(block))
-                .zip(moment1.par_chunks_mut(block))
-                .zip(moment2.par_chunks_mut(block))
-                .for_each(|(((param, grad), moment1), moment2)| {
-                    constants.step_rows(param, grad, [moment1, moment2], &tile);
-                });
+            let (rows, lead) = update.lead.clone().unwrap_or_default();
+            let at = rows * columns;
+            let [(p, param), (m, moment1), (v, moment2)] =
+                [param, moment1, moment2].map(|values| values.split_at_mut(at));
+            let (g, grad) = grad.split_at(at);
+            constants.step_all(p, g, [m, v], &typed(&lead));
+            constants.step_all(param, grad, [moment1, moment2], &rates);
         }
         SteppedRows::Drawn(rows) => {
             for (row, steps) in rows {
@@ -102,6 +101,30 @@ impl<T: Real> Constants<T> {
             limit: T::of(LARGEST_GRADIENT),
             smallest: [T::of(SMALLEST_FIRST), T::of(SMALLEST_SECOND)],
         }
+    }
+
+    /// Steps all of some rows on all threads, with a learning rate for each column.
+    fn step_all(
+        &self,
+        param: &mut [T],
+        grad: &[T],
+        [moment1, moment2]: [&mut [T]; 2],
+        rates: &[T],
+    ) {
+        if param.is_empty() {
+            return;
+        }
+        // Whole rows, at least a few hundred values long so that inner loops are not short.
+        let tile = rates.repeat(512_usize.div_ceil(rates.len()));
+        let block = (BLOCK / tile.len()).max(1) * tile.len();
+        param
+            .par_chunks_mut(block)
+            .zip(grad.par_chunks(block))
+            .zip(moment1.par_chunks_mut(block))
+            .zip(moment2.par_chunks_mut(block))
+            .for_each(|(((param, grad), moment1), moment2)| {
+                self.step_rows(param, grad, [moment1, moment2], &tile);
+            });
     }
 
     /// Steps whole rows; `tile` holds the learning rates of some of them and is repeated.
@@ -176,10 +199,12 @@ mod tests {
     }
 
     fn follow<T: Real>(tolerance: f64) {
-        let (rows, columns, steps) = (301, 7, 50);
+        let (rows, columns, steps, first) = (301, 7, 50, 57);
         let rates: Vec<f64> = (0..columns).map(|c| 1e-3 * (c + 1) as f64).collect();
+        let of_first: Vec<f64> = rates.iter().map(|rate| 0.3 * rate).collect();
         let update = |step| AdamUpdate {
             rates: rates.clone(),
+            lead: Some((first, of_first.clone())),
             rows: SteppedRows::All(step),
         };
         let start = |k: usize| k as f64 * 1e-3;
@@ -190,6 +215,11 @@ mod tests {
             adam(&mut p, &g, [&mut m, &mut v], &update(step as u32));
         }
         for (k, p) in p.iter().enumerate() {
+            let rates = if k < first * columns {
+                &of_first
+            } else {
+                &rates
+            };
             let expected = reference(start(k), k, steps, rates[k % columns]);
             assert!(
                 (p.to_f64() - expected).abs() < tolerance,
@@ -208,6 +238,7 @@ mod tests {
     fn one_step(p: &mut [f32], g: &[f32], m: &mut [f32], v: &mut [f32], step: u32) {
         let update = AdamUpdate {
             rates: vec![0.1],
+            lead: None,
             rows: SteppedRows::All(step),
         };
         adam(p, g, [m, v], &update);

@@ -94,7 +94,9 @@ impl CameraBlur {
             *tensor = constant(tensor);
         }
         let focus = host(trial.capture.focus.clone());
-        let (mut now, worth) = trial.try_parts(&world, looks)?;
+        let first = self.moments.trials.first() == it.as_ref();
+        let refocuses = first && self.moments.refocuses;
+        let (mut now, worth) = trial.try_parts(&world, looks, refocuses)?;
         let focused = host(trial.capture.focus.clone());
         let focuses = (0..focus.len()).filter(|&i| focus[i] != focused[i]);
         if self.settings.lens && last {
@@ -109,7 +111,6 @@ impl CameraBlur {
             *own = leaf(found.clone().inner(), true);
         }
         self.shared = None;
-        let first = self.moments.trials.first() == it.as_ref();
         Ok(Revised {
             paths,
             focuses: focuses.collect(),
@@ -220,14 +221,15 @@ impl CameraBlur {
     }
 
     /// Leaves out the lens, and then all paths, if they do not pay; returns the frames' errors with what stays, and what share of
-    /// the error lens and paths are worth.
+    /// the error lens and paths are worth. With `refocuses` every frame finds its best focus, whether the lens pays or not.
     fn try_parts(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
+        refocuses: bool,
     ) -> Result<(Vec<f64>, Worth), TrainError> {
         let now = self.errors(world, looks)?;
-        let (now, lens) = self.try_without_lens(world, looks, now)?;
+        let (now, lens) = self.try_without_lens(world, looks, now, refocuses)?;
         let (now, paths) = self.try_without_paths(world, looks, now)?;
         Ok((now, Worth { lens, paths }))
     }
@@ -239,6 +241,7 @@ impl CameraBlur {
         world: &World,
         looks: &[Look<'_>],
         now: Vec<f64>,
+        refocuses: bool,
     ) -> Result<(Vec<f64>, f64), TrainError> {
         if !is_there(&self.capture.aperture) {
             return Ok((now, 0.0));
@@ -247,10 +250,13 @@ impl CameraBlur {
         without.capture.aperture = self.capture.aperture.zeros_like();
         let left = without.errors(world, looks)?;
         let worth = share_more(&left, &now);
-        if pays(worth) {
+        if pays(worth) && !refocuses {
             return Ok((now, worth));
         }
         let focused = self.try_focuses(world, looks, &now)?;
+        if pays(worth) {
+            return Ok((focused, worth));
+        }
         let focused_worth = share_more(&left, &focused);
         if focused_worth > FOCUSED_LENS_PAYS {
             return Ok((focused, focused_worth));
