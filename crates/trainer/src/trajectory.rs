@@ -8,7 +8,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use splat_core::camera_center;
 
 /// Moments of an exposure at which the path of a frame is looked up.
-const MOMENTS: i32 = 8;
+const MOMENTS: i32 = 16;
 
 /// A place of the camera.
 #[derive(Clone, Copy, Debug)]
