@@ -3,11 +3,13 @@
 
 mod account;
 mod drift;
+mod parts;
+mod softness;
 mod taken;
 mod trials;
 
+pub(crate) use parts::Worth;
 pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
-pub(crate) use trials::Worth;
 
 use crate::TrainError;
 use crate::look::{Look, Shown, render_posed};

@@ -2,71 +2,21 @@
 //! run every frame tries others, with the Gaussians as they are, and keeps what explains it best.
 
 use super::CameraBlur;
-use super::drift::drift;
+use super::parts::Worth;
+use super::softness::{SOFTNESS, softened};
 use crate::TrainError;
 use crate::look::{Look, render_posed};
 use crate::statistics::median;
 use crate::tensors::{constant, host, leaf, tensor};
+use crate::views::ViewRef;
 use crate::world::World;
 use burn::tensor::Tensor;
 use capture::RIGID;
 use std::f64::consts::TAU;
-use std::fmt;
 use tracing::trace_span;
 
 /// A frame's path pays if without it the frame's error is larger by more than this share.
 const PATH_PAYS: f64 = 0.01;
-/// A lens, another aperture, or paths at all pay if without them the error of all frames is larger by more than this share.
-/// Gaussians have sharpened under what they were trained with, so that leaving it out costs something even where it was not
-/// there: RESULTS.md, "Kernels on top of the camera", has what was seen.
-const PART_PAYS: f64 = 0.05;
-/// Whether a part stays that is worth so much.
-fn pays(worth: f64) -> bool {
-    worth > PART_PAYS
-}
-
-/// A lens that does not pay stays if it is worth more than this with the focus that explains each frame best: in a short run
-/// focus has not come far by itself. Twice as much, since so many distances are tried on the very frames that are to be explained.
-/// (RESULTS.md, "Focus that is tried out", has what was seen.)
-const FOCUSED_LENS_PAYS: f64 = 0.1;
-/// How many distances of focus are tried on a frame.
-const FOCUSES: usize = 5;
-
-/// Where frames have both, lens and paths are worth more than this at the first trial. (Measured: the same section.)
-const BOTH_ARE_THERE: Worth = Worth {
-    lens: 0.03,
-    paths: 0.1,
-};
-
-/// By what share the error of all frames grows without the lens, and without the paths.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Worth {
-    lens: f64,
-    paths: f64,
-}
-
-impl Worth {
-    /// Whether the frames need a lens and paths.
-    pub(crate) fn needs_both(&self) -> bool {
-        self.lens > BOTH_ARE_THERE.lens && self.paths > BOTH_ARE_THERE.paths
-    }
-
-    /// Whether the trial left out both, so that nothing explains blur any more.
-    pub(crate) fn leaves_nothing(&self) -> bool {
-        !pays(self.lens) && !pays(self.paths)
-    }
-}
-
-impl fmt::Display for Worth {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [lens, paths] = [self.lens, self.paths].map(|worth| 100.0 * worth);
-        write!(
-            f,
-            "the error of the blurred frames changes by {lens:+.1} % without a lens and by {paths:+.1} % without paths"
-        )
-    }
-}
-
 /// What a trial came to.
 pub(in crate::blur) struct Revised {
     /// Frames whose path changed, and whose focus.
@@ -220,128 +170,32 @@ impl CameraBlur {
         Ok(error)
     }
 
-    /// Leaves out the lens, and then all paths, if they do not pay; returns the frames' errors with what stays, and what share of
-    /// the error lens and paths are worth. With `refocuses` every frame finds its best focus, whether the lens pays or not.
-    fn try_parts(
-        &mut self,
-        world: &World,
-        looks: &[Look<'_>],
-        refocuses: bool,
-    ) -> Result<(Vec<f64>, Worth), TrainError> {
-        let now = self.errors(world, looks)?;
-        let (now, lens) = self.try_without_lens(world, looks, now, refocuses)?;
-        let (now, paths) = self.try_without_paths(world, looks, now)?;
-        Ok((now, Worth { lens, paths }))
-    }
-
-    /// Leaves the lens out if it does not pay, also with each frame in better focus; takes the frames' errors as it is, and returns
-    /// them with what stays, and what share of the error the lens is worth.
-    fn try_without_lens(
-        &mut self,
-        world: &World,
-        looks: &[Look<'_>],
-        now: Vec<f64>,
-        refocuses: bool,
-    ) -> Result<(Vec<f64>, f64), TrainError> {
-        if !is_there(&self.capture.aperture) {
-            return Ok((now, 0.0));
-        }
-        let mut without = self.clone();
-        without.capture.aperture = self.capture.aperture.zeros_like();
-        let left = without.errors(world, looks)?;
-        let worth = share_more(&left, &now);
-        if pays(worth) && !refocuses {
-            return Ok((now, worth));
-        }
-        let focused = self.try_focuses(world, looks, &now)?;
-        if pays(worth) {
-            return Ok((focused, worth));
-        }
-        let focused_worth = share_more(&left, &focused);
-        if focused_worth > FOCUSED_LENS_PAYS {
-            return Ok((focused, focused_worth));
-        }
-        *self = without;
-        Ok((left, worth))
-    }
-
-    /// The same of all paths. They are worth what they explain beyond a camera without them that drifts as they do.
-    fn try_without_paths(
-        &mut self,
-        world: &World,
-        looks: &[Look<'_>],
-        now: Vec<f64>,
-    ) -> Result<(Vec<f64>, f64), TrainError> {
-        if !is_there(&self.capture.paths) {
-            return Ok((now, 0.0));
-        }
-        let mut without = self.clone();
-        without.capture.paths = self.capture.paths.zeros_like();
-        let drift = drift(self.capture.mean_motions());
-        let drifted = |(frame, look): (usize, &Look<'_>)| {
-            let motion = drift.clone().narrow(0, frame, 1);
-            without.error(world, &look.moved(motion, self.scene_size))
-        };
-        let drifted = looks.iter().enumerate().map(drifted);
-        let worth = share_more(&drifted.collect::<Result<Vec<_>, _>>()?, &now);
-        if pays(worth) {
-            return Ok((now, worth));
-        }
-        *self = without;
-        Ok((self.errors(world, looks)?, worth))
-    }
-
-    /// Leaves on every frame the distance of focus that explains it best, of its own and of some between which the scene lies;
-    /// takes the frames' errors as they are, and returns them with what stays.
-    fn try_focuses(
-        &mut self,
-        world: &World,
-        looks: &[Look<'_>],
-        now: &[f64],
-    ) -> Result<Vec<f64>, TrainError> {
-        let [near, far] = self.depth_range.map(|depth| self.scene_size / depth);
-        let mut least = now.to_vec();
-        for ((frame, look), least) in looks.iter().enumerate().zip(&mut least) {
-            let mut best = host(self.capture.focus.clone().narrow(0, frame, 1));
-            for k in 0..FOCUSES {
-                let share = (k as f64 + 0.5) / FOCUSES as f64;
-                let focus = [(far + share * (near - far)) as f32];
-                set_row(&mut self.capture.focus, frame, &focus);
-                let error = self.error(world, look)?;
-                if error < *least {
-                    *least = error;
-                    best = focus.to_vec();
-                }
-            }
-            set_row(&mut self.capture.focus, frame, &best);
-        }
-        Ok(least)
-    }
-
-    /// Leaves a larger or smaller aperture if that pays; takes the frames' errors as it is, and returns them with what stays.
-    fn try_apertures(
-        &mut self,
-        world: &World,
-        looks: &[Look<'_>],
-        now: Vec<f64>,
-    ) -> Result<Vec<f64>, TrainError> {
-        let own = self.capture.aperture.clone();
-        let (mut least, mut best) = (total(&now) / (1.0 + PART_PAYS), (now, 1.0));
-        for times in [0.5, 0.7, 1.4, 2.0] {
-            self.capture.aperture = own.clone() * times;
-            let errors = self.errors(world, looks)?;
-            if total(&errors) < least {
-                least = total(&errors);
-                best = (errors, times);
-            }
-        }
-        self.capture.aperture = own * best.1;
-        Ok(best.0)
-    }
-
     /// The error of every frame.
-    fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
+    pub(super) fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
         looks.iter().map(|look| self.error(world, look)).collect()
+    }
+
+    /// The error of every frame, and that of all together with the scene as soft as explains them best.
+    pub(super) fn softened_errors(
+        &self,
+        world: &World,
+        looks: &[Look<'_>],
+    ) -> Result<(Vec<f64>, f64), TrainError> {
+        let mut errors = Vec::new();
+        let mut softened_totals = [0.0; SOFTNESS.len()];
+        for look in looks {
+            let mut error = 0.0;
+            if let Some(view) = look.view {
+                let seen = self.seen(world, look, view)?;
+                for (total, variance) in softened_totals.iter_mut().zip(SOFTNESS) {
+                    *total += squared_error(softened(&seen, variance), view);
+                }
+                error = squared_error(seen, view);
+            }
+            errors.push(error);
+        }
+        let least = softened_totals.into_iter().fold(total(&errors), f64::min);
+        Ok((errors, least))
     }
 
     fn path(&self, frame: usize) -> Vec<f32> {
@@ -353,10 +207,20 @@ impl CameraBlur {
     }
 
     /// Mean squared difference between what the camera would have seen and the frame.
-    fn error(&self, world: &World, look: &Look<'_>) -> Result<f64, TrainError> {
-        let Some(view) = look.view else {
-            return Ok(0.0);
-        };
+    pub(super) fn error(&self, world: &World, look: &Look<'_>) -> Result<f64, TrainError> {
+        match look.view {
+            Some(view) => Ok(squared_error(self.seen(world, look, view)?, view)),
+            None => Ok(0.0),
+        }
+    }
+
+    /// What the camera would have seen, [H, W, 3].
+    fn seen(
+        &self,
+        world: &World,
+        look: &Look<'_>,
+        view: &ViewRef<'_>,
+    ) -> Result<Tensor<3>, TrainError> {
         let posed = world.pose(look.viewpoint.time);
         let taken = self.view(view.frame);
         let seen = if taken.frame.samples == 1 {
@@ -366,30 +230,24 @@ impl CameraBlur {
             let splats = posed.splats;
             self.exposed(world, look, view.frame, splats, &taken)?.color
         };
-        let seen = look.gained(seen);
-        let difference = (seen.clone() - view.target(&seen)).square().mean();
-        Ok(f64::from(host(difference)[0]))
+        Ok(look.gained(seen))
     }
 }
 
-fn set_row(table: &mut Tensor<2>, row: usize, values: &[f32]) {
+fn squared_error(seen: Tensor<3>, view: &ViewRef<'_>) -> f64 {
+    let target = view.target(&seen);
+    f64::from(host((seen - target).square().mean())[0])
+}
+
+pub(super) fn set_row(table: &mut Tensor<2>, row: usize, values: &[f32]) {
     let (device, [rows, width]) = (table.device(), table.dims());
     let mut all = host(table.clone());
     all[row * width..(row + 1) * width].copy_from_slice(values);
     *table = tensor(all, [rows, width], &device);
 }
 
-fn total(errors: &[f64]) -> f64 {
+pub(super) fn total(errors: &[f64]) -> f64 {
     errors.iter().sum()
-}
-
-fn is_there(part: &Tensor<2>) -> bool {
-    host(part.clone()).iter().any(|number| *number != 0.0)
-}
-
-/// By what share the errors of all frames together are larger than others.
-fn share_more(errors: &[f64], others: &[f64]) -> f64 {
-    total(errors) / total(others) - 1.0
 }
 
 /// Paths that are as `path` but for the coefficients of s^(term + 1), which lead by one of `lengths` (rad) in some direction
@@ -442,7 +300,7 @@ fn reversed(path: &[f32]) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::{RIGID, TAU, Ways, Worth, reversed};
+    use super::{RIGID, TAU, Ways, reversed};
 
     #[test]
     fn every_direction_is_tried_one_way_or_the_other() {
@@ -469,25 +327,5 @@ mod tests {
                 assert!(tried.iter().any(is_tried), "{term}: {i}");
             }
         }
-    }
-
-    #[test]
-    fn frames_need_both_where_both_are_worth_something() {
-        for (lens, paths, needs_both) in [
-            (0.085, 0.27, true),
-            (0.02, 0.6, false),
-            (0.15, 0.04, false),
-            (0.0, 0.0, false),
-            (f64::NAN, 0.5, false),
-        ] {
-            let worth = Worth { lens, paths };
-            assert_eq!(worth.needs_both(), needs_both, "{worth}");
-            assert!(!(worth.needs_both() && worth.leaves_nothing()), "{worth}");
-        }
-        let little = Worth {
-            lens: 0.034,
-            paths: 0.038,
-        };
-        assert!(little.leaves_nothing() && !little.needs_both(), "{little}");
     }
 }

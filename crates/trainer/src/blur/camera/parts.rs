@@ -1,0 +1,216 @@
+//! Parts: whether the camera needs its lens, and its paths at all. What does not pay goes for good.
+
+use super::CameraBlur;
+use super::drift::drift;
+use super::trials::{set_row, total};
+use crate::TrainError;
+use crate::look::Look;
+use crate::tensors::host;
+use crate::world::World;
+use burn::tensor::Tensor;
+use std::fmt;
+
+/// A lens, another aperture, or paths at all pay if without them the error of all frames is larger by more than this share.
+/// Gaussians have sharpened under what they were trained with, so that leaving it out costs something even where it was not
+/// there. (RESULTS.md, "Kernels on top of the camera" and "A lens that is not there", has what was seen.)
+const PART_PAYS: f64 = 0.05;
+/// Whether a part stays that is worth so much.
+fn pays(worth: f64) -> bool {
+    worth > PART_PAYS
+}
+
+/// A lens that does not pay stays if without it the error is larger by more than this share than with the focus that explains each
+/// frame best: in a short run focus has not come far by itself. So much more, since many distances are tried on the very frames
+/// that are to be explained. (RESULTS.md, "Focus that is tried out", has what was seen.)
+const FOCUSED_LENS_PAYS: f64 = 0.13;
+/// How many distances of focus are tried on a frame.
+const FOCUSES: usize = 5;
+
+/// Where frames have both, the lens pays at the first trial, and paths are worth more than this. (RESULTS.md, "Kernels on top of
+/// the camera".)
+const PATHS_BESIDE_A_LENS: f64 = 0.1;
+
+/// By what share the error of all frames grows without the lens, and without the paths.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Worth {
+    lens: f64,
+    paths: f64,
+}
+
+impl Worth {
+    /// Whether the frames need a lens and paths.
+    pub(crate) fn needs_both(&self) -> bool {
+        pays(self.lens) && self.paths > PATHS_BESIDE_A_LENS
+    }
+
+    /// Whether the trial left out both, so that nothing explains blur any more.
+    pub(crate) fn leaves_nothing(&self) -> bool {
+        !pays(self.lens) && !pays(self.paths)
+    }
+}
+
+impl fmt::Display for Worth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [lens, paths] = [self.lens, self.paths].map(|worth| 100.0 * worth);
+        write!(
+            f,
+            "the error of the blurred frames changes by {lens:+.1} % without a lens and by {paths:+.1} % without paths"
+        )
+    }
+}
+
+impl CameraBlur {
+    /// Leaves out the lens, and then all paths, if they do not pay; returns the frames' errors with what stays, and what share of
+    /// the error lens and paths are worth. With `refocuses` every frame finds its best focus, whether the lens pays or not.
+    pub(super) fn try_parts(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        refocuses: bool,
+    ) -> Result<(Vec<f64>, Worth), TrainError> {
+        let now = self.errors(world, looks)?;
+        let (now, lens) = self.try_without_lens(world, looks, now, refocuses)?;
+        let (now, paths) = self.try_without_paths(world, looks, now)?;
+        Ok((now, Worth { lens, paths }))
+    }
+
+    /// Leaves the lens out if it does not pay, also with each frame in better focus; takes the frames' errors as it is, and returns
+    /// them with what stays, and what share of the error the lens is worth beyond a scene that is softer.
+    fn try_without_lens(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        now: Vec<f64>,
+        refocuses: bool,
+    ) -> Result<(Vec<f64>, f64), TrainError> {
+        if !is_there(&self.capture.aperture) {
+            return Ok((now, 0.0));
+        }
+        let mut without = self.clone();
+        without.capture.aperture = self.capture.aperture.zeros_like();
+        let (left, softened) = without.softened_errors(world, looks)?;
+        let worth = share_more(softened, &now);
+        if pays(worth) && !refocuses {
+            return Ok((now, worth));
+        }
+        let focused = self.try_focuses(world, looks, &now)?;
+        if pays(worth) {
+            return Ok((focused, worth));
+        }
+        let focused_worth = share_more(total(&left), &focused);
+        if focused_worth > FOCUSED_LENS_PAYS {
+            return Ok((focused, focused_worth));
+        }
+        *self = without;
+        Ok((left, worth))
+    }
+
+    /// The same of all paths. They are worth what they explain beyond a camera without them that drifts as they do.
+    fn try_without_paths(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        now: Vec<f64>,
+    ) -> Result<(Vec<f64>, f64), TrainError> {
+        if !is_there(&self.capture.paths) {
+            return Ok((now, 0.0));
+        }
+        let mut without = self.clone();
+        without.capture.paths = self.capture.paths.zeros_like();
+        let drift = drift(self.capture.mean_motions());
+        let drifted = |(frame, look): (usize, &Look<'_>)| {
+            let motion = drift.clone().narrow(0, frame, 1);
+            without.error(world, &look.moved(motion, self.scene_size))
+        };
+        let drifted = looks.iter().enumerate().map(drifted);
+        let drifted = drifted.collect::<Result<Vec<_>, _>>()?;
+        let worth = share_more(total(&drifted), &now);
+        if pays(worth) {
+            return Ok((now, worth));
+        }
+        *self = without;
+        Ok((self.errors(world, looks)?, worth))
+    }
+
+    /// Leaves on every frame the distance of focus that explains it best, of its own and of some between which the scene lies;
+    /// takes the frames' errors as they are, and returns them with what stays.
+    fn try_focuses(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        now: &[f64],
+    ) -> Result<Vec<f64>, TrainError> {
+        let [near, far] = self.depth_range.map(|depth| self.scene_size / depth);
+        let mut least = now.to_vec();
+        for ((frame, look), least) in looks.iter().enumerate().zip(&mut least) {
+            let mut best = host(self.capture.focus.clone().narrow(0, frame, 1));
+            for k in 0..FOCUSES {
+                let share = (k as f64 + 0.5) / FOCUSES as f64;
+                let focus = [(far + share * (near - far)) as f32];
+                set_row(&mut self.capture.focus, frame, &focus);
+                let error = self.error(world, look)?;
+                if error < *least {
+                    *least = error;
+                    best = focus.to_vec();
+                }
+            }
+            set_row(&mut self.capture.focus, frame, &best);
+        }
+        Ok(least)
+    }
+
+    /// Leaves a larger or smaller aperture if that pays; takes the frames' errors as it is, and returns them with what stays.
+    pub(super) fn try_apertures(
+        &mut self,
+        world: &World,
+        looks: &[Look<'_>],
+        now: Vec<f64>,
+    ) -> Result<Vec<f64>, TrainError> {
+        let own = self.capture.aperture.clone();
+        let (mut least, mut best) = (total(&now) / (1.0 + PART_PAYS), (now, 1.0));
+        for times in [0.5, 0.7, 1.4, 2.0] {
+            self.capture.aperture = own.clone() * times;
+            let errors = self.errors(world, looks)?;
+            if total(&errors) < least {
+                least = total(&errors);
+                best = (errors, times);
+            }
+        }
+        self.capture.aperture = own * best.1;
+        Ok(best.0)
+    }
+}
+
+fn is_there(part: &Tensor<2>) -> bool {
+    host(part.clone()).iter().any(|number| *number != 0.0)
+}
+
+/// By what share an error of all frames together is larger than theirs.
+fn share_more(error: f64, errors: &[f64]) -> f64 {
+    error / total(errors) - 1.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Worth;
+
+    #[test]
+    fn frames_need_both_where_both_are_worth_something() {
+        for (lens, paths, needs_both) in [
+            (0.085, 0.27, true),
+            (0.02, 0.6, false),
+            (0.15, 0.04, false),
+            (0.0, 0.0, false),
+            (f64::NAN, 0.5, false),
+        ] {
+            let worth = Worth { lens, paths };
+            assert_eq!(worth.needs_both(), needs_both, "{worth}");
+            assert!(!(worth.needs_both() && worth.leaves_nothing()), "{worth}");
+        }
+        let little = Worth {
+            lens: 0.034,
+            paths: 0.038,
+        };
+        assert!(little.leaves_nothing() && !little.needs_both(), "{little}");
+    }
+}
