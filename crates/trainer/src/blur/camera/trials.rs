@@ -17,6 +17,10 @@ use tracing::trace_span;
 
 /// A frame's path pays if without it the frame's error is larger by more than this share.
 const PATH_PAYS: f64 = 0.01;
+/// A frame is tried with up to so many renders or more, however few it is trained with: of four points of a lens no picture is
+/// made that explains a frame better than none. (RESULTS.md, "A lens that is not there".)
+const TRIED_SAMPLES: usize = 8;
+
 /// What a trial came to.
 pub(in crate::blur) struct Revised {
     /// Frames whose path changed, and whose focus.
@@ -43,6 +47,7 @@ impl CameraBlur {
         for (_, tensor) in trial.parameters_mut() {
             *tensor = constant(tensor);
         }
+        trial.settings.samples = trial.settings.samples.max(TRIED_SAMPLES);
         let focus = host(trial.capture.focus.clone());
         let first = self.moments.trials.first() == it.as_ref();
         let refocuses = first && self.moments.refocuses;
