@@ -201,7 +201,7 @@ mod tests {
         let file = folder.path().join("limpid.toml");
         std::fs::write(
             &file,
-            "iterations = 1000\nseed = 7\n[camera]\nspacing_px = 1.0\n",
+            "iterations = 1000\nseed = 7\n[camera]\nsamples = 6\nspacing_px = 1.0\n",
         )
         .expect("a file");
         let of = |more: &[&str]| {
@@ -212,13 +212,14 @@ mod tests {
             config.expect("settings").settings
         };
         let draft = of(&["--preset", "draft"]);
-        assert!(draft.iterations < 1000 && draft.camera.spacing_px > 1.0);
+        assert!(draft.iterations < 1000 && draft.camera.samples < 6);
         assert_eq!(draft.seed, 7);
         let longer = of(&["--preset", "draft", "--iterations", "700"]);
         assert_eq!((longer.iterations, longer.camera), (700, draft.camera));
-        let set = of(&["--preset", "full", "--set", "camera.samples=6"]);
-        let full = Settings::default();
-        assert_eq!((set.iterations, set.camera.samples), (full.iterations, 6));
+        let set = of(&["--preset", "balanced", "--set", "camera.samples=5"]);
+        let balanced = Settings::default();
+        assert_eq!(set.iterations, balanced.iterations);
+        assert_eq!(set.camera.samples, 5);
         assert_eq!(set.camera.spacing_px, 1.0, "a preset says nothing of it");
     }
 }
