@@ -95,7 +95,7 @@ struct Blurred {
 }
 
 const BOTH: Blurred = Blurred {
-    shake: 0.2,
+    shake: 0.12,
     aperture: 0.06,
     start: 0.08,
     puts_kernels_on_top: true,

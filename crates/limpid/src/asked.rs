@@ -18,7 +18,7 @@ pub(crate) struct TrainArguments {
     /// Folder for the results [default: out/SCENE].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Number of iterations [default: 2500, with `--profile paper` 40000].
+    /// Number of iterations [default: 3000, with `--profile paper` 40000].
     #[arg(long, value_name = "N")]
     iterations: Option<usize>,
     /// Train as many iterations as fit into so many minutes on this machine, start and end included; no more than otherwise.

@@ -10,7 +10,7 @@ pub(crate) enum Preset {
     Draft,
     /// The defaults.
     Balanced,
-    /// Hardly more, in twice the time.
+    /// Hardly more, in two thirds more of time.
     Full,
 }
 

@@ -52,11 +52,11 @@ fn as_many_iterations_as_fit_and_the_run_can_be_repeated() -> Result<(), Box<dyn
     assert!(run.status.success(), "{said}");
     let chosen = length(&out)?;
     assert!(
-        said.contains(&format!("{chosen} iterations in the place of 2500")),
+        said.contains(&format!("{chosen} iterations in the place of 3000")),
         "{said}"
     );
     assert!(said.contains("is expected"), "{said}");
-    assert!((200..2500).contains(&chosen), "{chosen}");
+    assert!((200..3000).contains(&chosen), "{chosen}");
     // The length is kept, not the time, and a machine that others use may become slower on the way: by this much it does not.
     assert!(chosen == 200 || took < 180.0, "{took} s in the place of 12");
     assert_repeats(&out)

@@ -48,7 +48,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            iterations: 2500,
+            iterations: 3000,
             seed: 1,
             gaussians: GaussianSettings::default(),
             motion: MotionSettings::default(),

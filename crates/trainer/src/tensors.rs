@@ -35,3 +35,11 @@ pub(crate) fn leaf(tensor: Tensor<2>, autodiff: bool) -> Tensor<2> {
         tensor
     }
 }
+
+/// Puts other values into a row of a table. The device is waited for.
+pub(crate) fn set_row(table: &mut Tensor<2>, row: usize, values: &[f32]) {
+    let (device, [rows, width]) = (table.device(), table.dims());
+    let mut all = host(table.clone());
+    all[row * width..(row + 1) * width].copy_from_slice(values);
+    *table = tensor(all, [rows, width], &device);
+}

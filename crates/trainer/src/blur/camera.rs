@@ -3,6 +3,7 @@
 
 mod account;
 mod drift;
+mod errors;
 mod parts;
 mod softness;
 mod taken;

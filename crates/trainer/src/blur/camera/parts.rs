@@ -2,10 +2,10 @@
 
 use super::CameraBlur;
 use super::drift::drift;
-use super::trials::{set_row, total};
+use super::errors::total;
 use crate::TrainError;
 use crate::look::Look;
-use crate::tensors::host;
+use crate::tensors::{host, set_row};
 use crate::world::World;
 use burn::tensor::Tensor;
 use std::fmt;
@@ -98,7 +98,7 @@ impl CameraBlur {
             return Ok((focused, worth));
         }
         let focused_worth = share_more(total(&left), &focused);
-        if focused_worth > FOCUSED_LENS_PAYS {
+        if pays(share_more(softened, &focused)) && focused_worth > FOCUSED_LENS_PAYS {
             return Ok((focused, focused_worth));
         }
         *self = without;

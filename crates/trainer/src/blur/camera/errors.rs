@@ -1,0 +1,76 @@
+//! Errors: how far what the camera would have seen is from the frames, by which trials judge.
+
+use super::CameraBlur;
+use super::softness::{SOFTNESS, softened};
+use crate::TrainError;
+use crate::look::{Look, render_posed};
+use crate::tensors::host;
+use crate::views::ViewRef;
+use crate::world::World;
+use burn::tensor::Tensor;
+
+impl CameraBlur {
+    /// The error of every frame.
+    pub(super) fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
+        looks.iter().map(|look| self.error(world, look)).collect()
+    }
+
+    /// The error of every frame, and that of all together with the scene as soft as explains them best.
+    pub(super) fn softened_errors(
+        &self,
+        world: &World,
+        looks: &[Look<'_>],
+    ) -> Result<(Vec<f64>, f64), TrainError> {
+        let mut errors = Vec::new();
+        let mut softened_totals = [0.0; SOFTNESS.len()];
+        for look in looks {
+            let mut error = 0.0;
+            if let Some(view) = look.view {
+                let seen = self.seen(world, look, view)?;
+                for (total, variance) in softened_totals.iter_mut().zip(SOFTNESS) {
+                    *total += squared_error(softened(&seen, variance), view);
+                }
+                error = squared_error(seen, view);
+            }
+            errors.push(error);
+        }
+        let least = softened_totals.into_iter().fold(total(&errors), f64::min);
+        Ok((errors, least))
+    }
+
+    /// Mean squared difference between what the camera would have seen and the frame.
+    pub(super) fn error(&self, world: &World, look: &Look<'_>) -> Result<f64, TrainError> {
+        match look.view {
+            Some(view) => Ok(squared_error(self.seen(world, look, view)?, view)),
+            None => Ok(0.0),
+        }
+    }
+
+    /// What the camera would have seen, [H, W, 3].
+    fn seen(
+        &self,
+        world: &World,
+        look: &Look<'_>,
+        view: &ViewRef<'_>,
+    ) -> Result<Tensor<3>, TrainError> {
+        let posed = world.pose(look.viewpoint.time);
+        let taken = self.view(view.frame);
+        let seen = if taken.frame.samples == 1 {
+            let viewpoint = look.viewpoint_of(&posed.splats);
+            render_posed(posed, &viewpoint, None)?.color()
+        } else {
+            let splats = posed.splats;
+            self.exposed(world, look, view.frame, splats, &taken)?.color
+        };
+        Ok(look.gained(seen))
+    }
+}
+
+fn squared_error(seen: Tensor<3>, view: &ViewRef<'_>) -> f64 {
+    let target = view.target(&seen);
+    f64::from(host((seen - target).square().mean())[0])
+}
+
+pub(super) fn total(errors: &[f64]) -> f64 {
+    errors.iter().sum()
+}
