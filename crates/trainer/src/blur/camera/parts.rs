@@ -20,8 +20,9 @@ fn pays(worth: f64) -> bool {
 }
 
 /// A lens that does not pay stays if without it the error is larger by more than this share than with the focus that explains each
-/// frame best: in a short run focus has not come far by itself. So much more, since many distances are tried on the very frames
-/// that are to be explained. (RESULTS.md, "Focus that is tried out", has what was seen.)
+/// frame best, and pays beyond a softer scene with it: in a short run focus has not come far by itself. So much more, since many
+/// distances are tried on the very frames that are to be explained. (RESULTS.md, "Focus that is tried out" and "A lens that is not
+/// there", has what was seen.)
 const FOCUSED_LENS_PAYS: f64 = 0.13;
 /// How many distances of focus are tried on a frame.
 const FOCUSES: usize = 5;
@@ -75,7 +76,7 @@ impl CameraBlur {
     }
 
     /// Leaves the lens out if it does not pay, also with each frame in better focus; takes the frames' errors as it is, and returns
-    /// them with what stays, and what share of the error the lens is worth beyond a scene that is softer.
+    /// them with what stays, and what share of the error the lens is worth: beyond a softer scene, or where focus saved it, by itself.
     fn try_without_lens(
         &mut self,
         world: &World,
