@@ -54,7 +54,7 @@ fn filmed(drift: &[f64], shake: f64, aperture: f64, device: &Device) -> Scene {
         let sharp = render(splats.clone(), &view, Extra::default()).expect("a render");
         let depth = values::<2>(sharp.depth() / sharp.alpha().clamp_min(0.5));
         let exposure = Exposure {
-            poses: capture.poses(index, &pose, &samples(64, [0.5, 0.2]), SIZE),
+            poses: capture.poses(index, &pose, &samples(64, 0.2), SIZE),
             movers: None,
             transfer: Transfer::Srgb,
         };

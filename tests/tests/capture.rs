@@ -11,7 +11,7 @@ const SIZE: f64 = 4.0;
 const FOCAL: f64 = 60.0;
 
 /// The picture that a camera takes at the origin.
-fn picture(capture: &Capture, splats: &Splats, count: usize, jitter: [f64; 2]) -> Tensor<3> {
+fn picture(capture: &Capture, splats: &Splats, count: usize, turn: f64) -> Tensor<3> {
     let given = [
         [1.0, 0.0, 0.0, 0.0],
         [0.0, 1.0, 0.0, 0.0],
@@ -25,7 +25,7 @@ fn picture(capture: &Capture, splats: &Splats, count: usize, jitter: [f64; 2]) -
         sh_degree: 0,
     };
     let exposure = Exposure {
-        poses: capture.poses(0, &given, &samples(count, jitter), SIZE),
+        poses: capture.poses(0, &given, &samples(count, turn), SIZE),
         movers: None,
         transfer: Transfer::Srgb,
     };
@@ -48,7 +48,7 @@ fn path_focus_and_aperture_are_found_back() {
         truth.paths = f32s(&path, [1, 12]);
         truth.aperture = f32s(&[aperture], [1, 1]);
         truth.focus = f32s(&[focus], [1, 1]);
-        let target = picture(&truth, &splats, 96, [0.5, 0.2]).detach();
+        let target = picture(&truth, &splats, 96, 0.2).detach();
 
         // Half the aperture, in focus elsewhere, a short path in another direction.
         let mut found = Capture::still(1, 2, (&device, DType::F32));
@@ -64,8 +64,8 @@ fn path_focus_and_aperture_are_found_back() {
         let mut states = [&found.paths, &found.aperture, &found.focus].map(AdamState::new);
         let steps = 300;
         for it in 0..steps {
-            let jitter = [0.618, 0.755].map(|step: f64| (step * f64::from(it)).fract());
-            let seen = picture(&found, &splats, 32, jitter);
+            let turn = (0.755 * f64::from(it)).fract();
+            let seen = picture(&found, &splats, 32, turn);
             let mut grads = (seen - target.clone()).square().mean().backward();
             let share = 0.02_f64.powf(f64::from(it) / f64::from(steps));
             let scaled = |rates: &[f64]| {

@@ -76,7 +76,7 @@ fn taken(index: usize, (zoom, grow): (usize, f64), device: &Device) -> Taken {
         sh_degree: 0,
     };
     let sharp = render(splats.clone(), &view, Extra::default()).expect("a render");
-    let of = |pose: &DAffine3| capture.poses(0, &rows(pose), &samples(96, [0.5, 0.2]), SIZE);
+    let of = |pose: &DAffine3| capture.poses(0, &rows(pose), &samples(96, 0.2), SIZE);
     let exposure = Exposure {
         poses: of(&pose),
         movers: None,

@@ -6,7 +6,7 @@ use capture::{Capture, samples};
 /// Where 16 samples of a frame see points at three depths: x / z and y / z, [3, 16, 2].
 fn seen(capture: &Capture, device: &Device) -> Tensor<3> {
     let given = Tensor::eye(4, device).narrow(0, 0, 3);
-    let poses = capture.poses(0, &given, &samples(16, [0.5, 0.0]), 3.0);
+    let poses = capture.poses(0, &given, &samples(16, 0.0), 3.0);
     let points = [0.1, 0.2, 2.0, 1.0, -0.3, 0.1, 3.0, 1.0, 0.4, -0.5, 5.0, 1.0];
     let points = Tensor::<1>::from_data(points, device).reshape([3, 1, 1, 4]);
     let at = (poses.unsqueeze_dim::<4>(0) * points).sum_dim(3);

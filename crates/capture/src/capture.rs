@@ -210,7 +210,7 @@ mod tests {
     #[test]
     fn the_middle_of_a_still_camera_is_the_given_pose() {
         let still = Capture::still(2, 3, (&device(), DType::F64));
-        let poses = still.poses(1, &given(), &samples(4, [0.2, 0.7]), SIZE);
+        let poses = still.poses(1, &given(), &samples(4, 0.7), SIZE);
         assert_eq!(values(&poses), values(&given()).repeat(4));
     }
 
@@ -218,7 +218,7 @@ mod tests {
     fn one_sample_is_the_middle_of_the_exposure() {
         let capture = capture();
         let middle = values(&given());
-        let poses = values(&capture.poses(1, &given(), &samples(1, [0.3, 0.3]), SIZE));
+        let poses = values(&capture.poses(1, &given(), &samples(1, 0.3), SIZE));
         for (a, b) in middle.iter().zip(&poses) {
             assert!((a - b).abs() < 1e-15, "{a} {b}");
         }
@@ -237,7 +237,7 @@ mod tests {
         let mut capture = capture();
         capture.paths = capture.paths.clone() * 0.0;
         let middle = values(&given());
-        let poses = values(&capture.poses(0, &given(), &samples(9, [0.5, 0.1]), SIZE));
+        let poses = values(&capture.poses(0, &given(), &samples(9, 0.1), SIZE));
         // A point of the camera's at (0.2, -0.1) and some depth, taken back to the world.
         let at_depth = |depth: f64| -> [f64; 3] {
             let p = [
@@ -351,16 +351,17 @@ mod tests {
 
     #[test]
     fn moments_are_parts_of_the_shutters_time() {
-        let taken = samples(4, [0.5, 0.0]);
+        let moments = [-0.5, -0.1, 0.0, 0.4];
+        let taken = moments.map(Sample::through_the_middle);
         let moments = values(&capture().moments(&taken));
-        for (moment, expected) in moments.iter().zip([-0.3375, -0.1125, 0.1125, 0.3375]) {
+        for (moment, expected) in moments.iter().zip([-0.45, -0.09, 0.0, 0.36]) {
             assert!((moment - expected).abs() < 1e-12, "{moment}");
         }
     }
 
     #[test]
     fn gradients_agree_with_central_differences() {
-        let taken = samples(5, [0.3, 0.6]);
+        let taken = samples(5, 0.6);
         let weights: Vec<f64> = (0..60).map(|k| (0.9 * f64::from(k)).cos()).collect();
         let weights =
             Tensor::<3>::from_data(TensorData::new(weights, [5, 3, 4]), (&device(), DType::F64));

@@ -19,7 +19,7 @@
 //!     [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
 //!     (&device, DType::F64),
 //! );
-//! let taken = samples(8, [0.5, 0.0]);
+//! let taken = samples(8, 0.0);
 //! let poses = capture.poses(0, &given, &taken, 4.0);
 //! assert_eq!(poses.dims(), [8, 3, 4]);
 //! assert!(capture.taken(0).path_px(200.0) > 1.9);

@@ -25,55 +25,69 @@ impl Sample {
     }
 }
 
-/// `count` samples: one moment in each of as many equal parts of the exposure, and points that cover the disc evenly
-/// (Vogel's sunflower), paired so that early and late moments see all of the lens.
+/// `count` samples: evenly spread moments, and points that cover the disc evenly (Vogel's sunflower) and are turned by `turn`
+/// of a full turn.
 ///
-/// Both are jittered: `jitter[0]` in [0, 1) is the place of the moment in its part, `jitter[1]` in [0, 1) turns the disc. A
-/// single sample is the middle of both.
+/// From 4 on they have the mean and the covariance of all moments of an exposure and all points of a lens: 0, 1/12 for a moment, 1/4
+/// for each coordinate on the lens and 0 between any two. So a picture of a few samples is neither shifted against one of many
+/// nor blurred more or less, and no lens looks like a path. 2 and 3 have it as far as so few can. A single sample is the middle of
+/// both.
 #[must_use]
-pub fn samples(count: usize, jitter: [f64; 2]) -> Vec<Sample> {
-    if count == 1 {
-        return vec![Sample::through_the_middle(0.0)];
+pub fn samples(count: usize, turn: f64) -> Vec<Sample> {
+    if count < 2 {
+        return vec![Sample::through_the_middle(0.0); count];
     }
-    let stride = coprime_stride(count);
-    let offset = balanced_offset(count, stride);
-    (0..count)
+    let n = count as f64;
+    // Points follow each other as they do in the sunflower, so that no moment has a side of the lens; from here on early ones lie
+    // as far out as late ones.
+    let first = (n * (3.0 - 3.0_f64.sqrt()) / 6.0).round() as usize;
+    let mut all: Vec<Sample> = (0..count)
         .map(|i| {
-            let point = (i * stride + offset) % count;
-            let radius = ((point as f64 + 0.5) / count as f64).sqrt();
-            let angle = point as f64 * GOLDEN_ANGLE + jitter[1] * TAU;
+            let point = (i + first) % count;
+            let radius = ((point as f64 + 0.5) / n).sqrt();
+            let angle = point as f64 * GOLDEN_ANGLE + turn * TAU;
             Sample {
-                moment: (i as f64 + jitter[0]) / count as f64 - 0.5,
+                moment: (i as f64 + 0.5) / n - 0.5,
                 lens: [radius * angle.cos(), radius * angle.sin()],
             }
         })
-        .collect()
+        .collect();
+    match_exposure(&mut all);
+    all
 }
 
-/// A step through `count` places that visits all of them, near the golden section so that neighbours lie far apart.
-fn coprime_stride(count: usize) -> usize {
-    let gcd = |mut a: usize, mut b: usize| {
-        while b > 0 {
-            (a, b) = (b, a % b);
+/// Moves what is nearly so by as little as it takes to have the mean and the covariance of an exposure.
+fn match_exposure(all: &mut [Sample]) {
+    let n = all.len() as f64;
+    let mean = |all: &[Sample], of: &dyn Fn(&Sample) -> f64| all.iter().map(of).sum::<f64>() / n;
+    let middle = [0, 1].map(|k| mean(all, &|s| s.lens[k]));
+    let longer = (mean(all, &|s| s.moment * s.moment) * 12.0).sqrt().recip();
+    for sample in &mut *all {
+        sample.moment *= longer;
+        sample.lens = [0, 1].map(|k| sample.lens[k] - middle[k]);
+    }
+    if all.len() < 4 {
+        let square = mean(all, &|s| s.lens[0] * s.lens[0] + s.lens[1] * s.lens[1]);
+        let wider = (2.0 * square).sqrt().recip();
+        for sample in all {
+            sample.lens = sample.lens.map(|u| u * wider);
         }
-        a
-    };
-    let near = (count as f64 * 0.618).round() as usize;
-    (near.max(1)..)
-        .find(|stride| gcd(*stride, count) == 1)
-        .unwrap_or(1)
-}
-
-/// Where to begin, so that late moments do not lie farther out than early ones, or nearer.
-fn balanced_offset(count: usize, stride: usize) -> usize {
-    let late = |i: usize| 2.0 * i as f64 - (count - 1) as f64;
-    let slope = |offset: usize| -> f64 {
-        let radius = |i: usize| (((i * stride + offset) % count) as f64 + 0.5).sqrt();
-        (0..count).map(|i| late(i) * radius(i)).sum()
-    };
-    (0..count)
-        .min_by(|a, b| slope(*a).abs().total_cmp(&slope(*b).abs()))
-        .unwrap_or(0)
+        return;
+    }
+    let along = [0, 1].map(|k| 12.0 * mean(all, &|s| s.moment * s.lens[k]));
+    for sample in &mut *all {
+        sample.lens = [0, 1].map(|k| sample.lens[k] - along[k] * sample.moment);
+    }
+    let covariance = |i: usize, j: usize| 4.0 * mean(all, &|s| s.lens[i] * s.lens[j]);
+    let [[a, b], [_, c]] = [0, 1].map(|i| [0, 1].map(|j| covariance(i, j)));
+    // The root of a matrix M of 2x2 is (M + √|M| I) / √(tr M + 2 √|M|); this is its inverse.
+    let root = (a * c - b * b).sqrt();
+    let scale = (root * (a + c + 2.0 * root).sqrt()).recip();
+    let [xx, xy, yy] = [c + root, -b, a + root].map(|v| v * scale);
+    for sample in all {
+        let [x, y] = sample.lens;
+        sample.lens = [xx * x + xy * y, xy * x + yy * y];
+    }
 }
 
 /// How many samples a blur wants that is a disc of diameter `disc_px` drawn along a path of `path_px`, at a distance of
@@ -94,40 +108,60 @@ pub fn samples_for(path_px: f64, disc_px: f64, spacing_px: f64, limit: usize) ->
 mod tests {
     use super::*;
 
-    #[test]
-    fn samples_cover_exposure_and_lens_evenly_whatever_their_number() {
-        for count in 2..=40 {
-            let taken = samples(count, [0.5, 0.3]);
-            assert_eq!(taken.len(), count);
-            let sum =
-                |value: fn(&Sample) -> f64| taken.iter().map(value).sum::<f64>() / count as f64;
-            assert!(
-                sum(|s| s.moment).abs() < 1e-12,
-                "{count}: middle of the moments"
-            );
-            // A uniform disc of radius 1 has mean |u|² = 1/2.
-            let square = sum(|s| s.lens[0] * s.lens[0] + s.lens[1] * s.lens[1]);
-            assert!(
-                (square - 0.5).abs() < 1e-12,
-                "{count}: mean square {square}"
-            );
-            let off = sum(|s| s.lens[0]).hypot(sum(|s| s.lens[1]));
-            assert!(
-                off < 0.75 / (count as f64).sqrt(),
-                "{count}: middle of the lens {off}"
-            );
-        }
+    /// Mean of a function of the samples.
+    fn mean(taken: &[Sample], of: impl Fn(&Sample) -> f64) -> f64 {
+        taken.iter().map(of).sum::<f64>() / taken.len() as f64
     }
 
     #[test]
-    fn moments_and_points_are_not_correlated() {
-        for count in 4..=40 {
-            let taken = samples(count, [0.5, 0.1]);
-            let radius = |s: &Sample| s.lens[0].hypot(s.lens[1]) - 2.0 / 3.0;
-            let sum: f64 = taken.iter().map(|s| s.moment * radius(s)).sum();
+    fn few_samples_have_the_mean_and_the_covariance_of_an_exposure() {
+        for count in 2..=96 {
+            for turn in [0.0, 0.3, 0.77] {
+                let taken = samples(count, turn);
+                assert_eq!(taken.len(), count);
+                let parts =
+                    |s: &Sample| [s.moment * 12.0_f64.sqrt(), 2.0 * s.lens[0], 2.0 * s.lens[1]];
+                let square = |i: usize, j: usize| mean(&taken, |s| parts(s)[i] * parts(s)[j]);
+                for i in 0..3 {
+                    let middle = mean(&taken, |s| parts(s)[i]);
+                    assert!(middle.abs() < 1e-12, "{count}: mean {middle} of part {i}");
+                    for j in (0..=i).filter(|_| count >= 4) {
+                        let exact = f64::from(u8::from(i == j));
+                        let is = square(i, j);
+                        assert!((is - exact).abs() < 1e-9, "{count}: {is} of {i} and {j}");
+                    }
+                }
+                let [time, lens] = [square(0, 0), square(1, 1) + square(2, 2)];
+                assert!((time - 1.0).abs() < 1e-12 && (lens - 2.0).abs() < 1e-9);
+            }
+        }
+    }
+
+    /// Moments do not leave the exposure, and points hardly the lens.
+    #[test]
+    fn samples_lie_where_the_shutter_is_open_and_on_the_lens() {
+        for count in 1..=96 {
+            for sample in samples(count, 0.2) {
+                assert!(sample.moment.abs() < 0.5, "{count}: {sample:?}");
+                let radius = sample.lens[0].hypot(sample.lens[1]);
+                assert!(radius < 1.02, "{count}: {radius}");
+            }
+        }
+    }
+
+    /// Early moments look through as much of the lens, as far out, as late ones.
+    #[test]
+    fn moments_do_not_tell_how_far_out_a_point_lies() {
+        for count in 5..=96 {
+            let taken = samples(count, 0.1);
+            let radius = |s: &Sample| s.lens[0] * s.lens[0] + s.lens[1] * s.lens[1] - 0.5;
+            let spread = [
+                mean(&taken, |s| s.moment * s.moment),
+                mean(&taken, |s| radius(s).powi(2)),
+            ];
             let correlation =
-                sum / (count as f64 * (1.0_f64 / 12.0).sqrt() * (1.0_f64 / 18.0).sqrt());
-            assert!(correlation.abs() < 0.25, "{count}: {correlation}");
+                mean(&taken, |s| s.moment * radius(s)) / (spread[0] * spread[1]).sqrt();
+            assert!(correlation.abs() < 0.4, "{count}: {correlation}");
         }
     }
 

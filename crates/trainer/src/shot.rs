@@ -66,7 +66,7 @@ impl Run {
             return self.render_viewpoint(&view);
         }
         let world = self.model().world.detached();
-        let taken = samples(shot.samples, [0.5, 0.0]);
+        let taken = samples(shot.samples, 0.0);
         let times: Vec<f64> = taken
             .iter()
             .map(|sample| f64::from(shot.time) + shot.shutter * sample.moment)

@@ -28,8 +28,8 @@ use glam::DAffine3;
 use splat_core::{Exposed, Exposure, Movers, Splats, expose};
 use tracing::trace_span;
 
-/// Moments between which a frame's samples and points are jittered, by irrational steps from iteration to iteration.
-const JITTER: [f64; 2] = [0.618_033_988_75, 0.754_877_666_2];
+/// By what part of a full turn the points of the lens turn from iteration to iteration: no two are alike.
+const LENS_TURN: f64 = 0.754_877_666_2;
 /// A frame that is blurred at all is averaged from so many renders or more.
 const LEAST_SAMPLES: usize = 3;
 /// Shares of a run, counted from the start of blur, after which other paths and none are tried on every frame…
@@ -184,7 +184,12 @@ impl CameraBlur {
         }
         let splats = posed.splats.clone();
         let rendered = render_posed(posed, &viewpoint, None)?;
-        let exposed = self.exposed(world, look, frame, splats, &trace.view)?;
+        // Training sees other points of the lens in each iteration; pictures always the same.
+        let turn = match look.view {
+            Some(_) => (LENS_TURN * look.iteration as f64).fract(),
+            None => 0.0,
+        };
+        let exposed = self.exposed(world, look, splats, (frame, &trace.view), turn)?;
         Ok(Shown {
             seen: exposed.color,
             radii: exposed.radii,
@@ -193,17 +198,17 @@ impl CameraBlur {
         })
     }
 
-    /// What the camera collects of these Gaussians, from more than one sample.
+    /// What the camera collects of these Gaussians, from more than one sample, through a lens turned by `turn` of a full turn.
     fn exposed(
         &self,
         world: &World,
         look: &Look<'_>,
-        frame: usize,
         splats: Splats,
-        view: &TakenView,
+        (frame, view): (usize, &TakenView),
+        turn: f64,
     ) -> Result<Exposed, TrainError> {
         let middle = look.viewpoint_of(&splats);
-        let taken = samples(view.frame.samples, self.jitter(look));
+        let taken = samples(view.frame.samples, turn);
         let capture = self.learned(view);
         let exposure = Exposure {
             poses: capture.poses(frame, &middle.cam_from_world, &taken, self.scene_size),
@@ -224,14 +229,6 @@ impl CameraBlur {
             capture.focus = constant(&capture.focus);
         }
         capture
-    }
-
-    /// Training sees other moments and points of the lens in each iteration; pictures always the same.
-    fn jitter(&self, look: &Look<'_>) -> [f64; 2] {
-        match look.view {
-            Some(_) => JITTER.map(|step| (step * look.iteration as f64).fract()),
-            None => [0.5, 0.0],
-        }
     }
 
     /// Where moving Gaussians are at the samples' moments, with the shutter open for so long.
@@ -275,7 +272,7 @@ impl CameraBlur {
     pub(super) fn cameras(&self, frame: usize, count: usize) -> Vec<DAffine3> {
         let options = (&self.capture.paths.device(), self.capture.paths.dtype());
         let still = pose_tensor(&DAffine3::IDENTITY, options);
-        let taken = samples(count, [0.5, 0.0]);
+        let taken = samples(count, 0.0);
         let poses = self.capture.poses(frame, &still, &taken, self.scene_size);
         poses_of(poses)
     }

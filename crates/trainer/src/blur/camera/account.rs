@@ -45,7 +45,7 @@ impl CameraBlur {
             [0.0, 0.0, 1.0, 0.0],
         ];
         let given = Tensor::<2>::from_data(identity, options);
-        let taken = samples(SPOT_SAMPLES, [0.5, 0.0]);
+        let taken = samples(SPOT_SAMPLES, 0.0);
         let size = self.scene_size;
         let poses = host(self.capture.poses(frame, &given, &taken, size).detach());
         let focal = self.focal[frame];

@@ -60,7 +60,9 @@ impl CameraBlur {
             render_posed(posed, &viewpoint, None)?.color()
         } else {
             let splats = posed.splats;
-            self.exposed(world, look, view.frame, splats, &taken)?.color
+            // Always the same points of the lens: by others the error would be another one.
+            self.exposed(world, look, splats, (view.frame, &taken), 0.0)?
+                .color
         };
         Ok(look.gained(seen))
     }

@@ -14,9 +14,9 @@ use tracing::trace_span;
 
 /// A frame's path pays if without it the frame's error is larger by more than this share.
 const PATH_PAYS: f64 = 0.01;
-/// A frame is tried with up to so many renders or more, however few it is trained with: of four points of a lens no picture is
-/// made that explains a frame better than none. (RESULTS.md, "A lens that is not there".)
-const TRIED_SAMPLES: usize = 8;
+/// A frame is tried with up to so many renders or more, however few it is trained with: what a lens explains is not seen through
+/// few of its points. (RESULTS.md, "What a trial sees".)
+const TRIED_SAMPLES: usize = 16;
 
 /// What a trial came to.
 pub(in crate::blur) struct Revised {
