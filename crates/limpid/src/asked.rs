@@ -76,7 +76,7 @@ pub(crate) struct TrainArguments {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Blur {
-    /// Nothing where frames are alike in sharpness, else the camera, and kernels over it where the frames need a lens and paths.
+    /// Nothing where frames are alike in sharpness, else the camera.
     Auto,
     /// The camera.
     On,

@@ -22,7 +22,6 @@ use crate::world::World;
 use burn::tensor::{DType, Device, Tensor};
 use camera::Worth;
 use glam::DAffine3;
-pub(crate) use kernels::TABLE as KERNELS_TABLE;
 use kernels::{KernelSums, KernelTrace};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -89,22 +88,6 @@ impl BlurModel {
                 Self::Both(Box::new(both))
             }
         })
-    }
-
-    /// Puts untrained kernels over a camera that has none.
-    pub(crate) fn add_kernels(
-        &mut self,
-        settings: &Settings,
-        survey: &Survey,
-        views: &Views,
-        options: (&Device, DType),
-    ) -> Result<(), TrainError> {
-        if let Self::Camera(camera) = self {
-            let camera = (**camera).clone();
-            let both = Both::over(camera, settings, survey, views, options)?;
-            *self = Self::Both(Box::new(both));
-        }
-        Ok(())
     }
 
     /// The iterations after which something about it changes, its start first; none where blur is not modelled.

@@ -8,7 +8,7 @@
 //! The schedule, which follows from these, is made again on opening, and so are unseen views on going on.
 
 use crate::adam::{AdamState, Steps};
-use crate::blur::{BlurModel, KERNELS_TABLE};
+use crate::blur::BlurModel;
 use crate::changes::Change;
 use crate::checksum;
 use crate::corrections::Corrections;
@@ -19,7 +19,7 @@ use crate::model::Model;
 use crate::optimizer::Optimizer;
 use crate::plan::{Plan, schedule_of};
 use crate::run::Run;
-use crate::settings::{BlurKind, LEAST_ITERATIONS, Settings};
+use crate::settings::{LEAST_ITERATIONS, Settings};
 use crate::state::{Progress, State};
 use crate::survey::Survey;
 use crate::tensors::{host, tensor};
@@ -33,7 +33,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 
 /// Version of the file's layout; others are refused.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 
 /// Pictures of a view may have so many pixels: a broken size must not ask for all memory.
 const MAX_PIXELS: usize = 1 << 28;
@@ -160,11 +160,6 @@ impl Run {
         let (settings, survey) = (&scheduled, &header.survey);
         let mut blur = BlurModel::new(settings, survey, &header.views, (&device, DType::F32))
             .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
-        // Where that was left to a trial, what the file holds says what it decided.
-        if settings.blur.model == BlurKind::Auto && file.tensor(KERNELS_TABLE).is_ok() {
-            blur.add_kernels(settings, survey, &header.views, (&device, DType::F32))
-                .map_err(|e| CheckpointProblem::Blur(Box::new(e)))?;
-        }
         let mut corrections =
             Corrections::new(settings, survey, &header.views, (&device, DType::F32));
         let others = blur.parameters_mut();

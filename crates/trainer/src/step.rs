@@ -10,14 +10,13 @@ use crate::model::Model;
 use crate::objective::Objective;
 use crate::optimizer::learning_rate;
 use crate::parameter::Parameter;
-use crate::plan::schedule_of;
 use crate::readings::Readings;
 use crate::run::Run;
-use crate::settings::{BlurKind, Settings};
+use crate::settings::BlurKind;
 use crate::tensors::host;
 use crate::trainer::Trainer;
 use crate::views::ViewRef;
-use burn::tensor::{DType, Gradients, Tensor};
+use burn::tensor::{Gradients, Tensor};
 use host::count_not_finite;
 use tracing::trace_span;
 
@@ -181,14 +180,10 @@ impl Trainer {
         let Some(worth) = revision.worth.filter(|_| is_open) else {
             return Ok(None);
         };
-        // Where there are both, each takes some of the other's blur, and neither comes out right.
-        let decision = if worth.needs_both() {
-            add_kernels(run)?;
-            "from half of the run on kernels explain what the camera leaves (`--blur camera` does without)"
-        } else if worth.leaves_nothing() {
+        let decision = if worth.leaves_nothing() {
             "neither pays, and no blur is modelled from here on (a longer run may find it; `--blur kernels` keeps a model)"
         } else {
-            "the camera explains blur by itself (`--blur both` has kernels on top)"
+            "the camera explains blur (`--blur both` has kernels on top)"
         };
         Ok(Some(format!("{worth}: {decision}")))
     }
@@ -234,27 +229,6 @@ impl Trainer {
         let problem = "not finite at first, but finite when computed again".to_owned();
         Ok(fault("all", None, problem))
     }
-}
-
-/// Puts kernels over the camera, and their moments into the schedule.
-fn add_kernels(run: &mut Run) -> Result<(), TrainError> {
-    let Run {
-        plan,
-        state,
-        device,
-        ..
-    } = run;
-    // A run that became longer has the moments of the one that was started.
-    let settings = Settings {
-        iterations: plan.schedule.iterations,
-        ..plan.settings.clone()
-    };
-    let options = (&*device, DType::F32);
-    let blur = &mut state.model.blur;
-    blur.add_kernels(&settings, &plan.survey, &plan.views, options)?;
-    let unseen = plan.schedule.unseen_from.is_some();
-    plan.schedule = schedule_of(&settings, &plan.views, &state.model, unseen);
-    Ok(())
 }
 
 /// Names the first parameter to which a loss gives a gradient that is not finite.

@@ -6,8 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BlurKind {
-    /// Nothing where frames are alike in sharpness, else the camera; and kernels over it from half of the run on where its first
-    /// trial could do without neither lens nor paths.
+    /// Nothing where frames are alike in sharpness, else the camera.
     #[default]
     Auto,
     /// Nothing: frames are taken to be sharp.

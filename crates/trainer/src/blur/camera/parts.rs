@@ -12,7 +12,7 @@ use std::fmt;
 
 /// A lens, another aperture, or paths at all pay if without them the error of all frames is larger by more than this share.
 /// Gaussians have sharpened under what they were trained with, so that leaving it out costs something even where it was not
-/// there. (RESULTS.md, "Kernels on top of the camera" and "A lens that is not there", has what was seen.)
+/// there. (RESULTS.md, "A lens that is not there", has what was seen.)
 const PART_PAYS: f64 = 0.05;
 /// Whether a part stays that is worth so much.
 fn pays(worth: f64) -> bool {
@@ -27,10 +27,6 @@ const FOCUSED_LENS_PAYS: f64 = 0.13;
 /// How many distances of focus are tried on a frame.
 const FOCUSES: usize = 5;
 
-/// Where frames have both, the lens pays at the first trial, and paths are worth more than this. (RESULTS.md, "Kernels on top of
-/// the camera".)
-const PATHS_BESIDE_A_LENS: f64 = 0.1;
-
 /// By what share the error of all frames grows without the lens, and without the paths.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Worth {
@@ -39,11 +35,6 @@ pub(crate) struct Worth {
 }
 
 impl Worth {
-    /// Whether the frames need a lens and paths.
-    pub(crate) fn needs_both(&self) -> bool {
-        pays(self.lens) && self.paths > PATHS_BESIDE_A_LENS
-    }
-
     /// Whether the trial left out both, so that nothing explains blur any more.
     pub(crate) fn leaves_nothing(&self) -> bool {
         !pays(self.lens) && !pays(self.paths)
@@ -196,22 +187,17 @@ mod tests {
     use super::Worth;
 
     #[test]
-    fn frames_need_both_where_both_are_worth_something() {
-        for (lens, paths, needs_both) in [
-            (0.085, 0.27, true),
+    fn nothing_is_left_where_neither_part_pays() {
+        for (lens, paths, leaves_nothing) in [
+            (0.085, 0.27, false),
             (0.02, 0.6, false),
             (0.15, 0.04, false),
-            (0.0, 0.0, false),
-            (f64::NAN, 0.5, false),
+            (0.034, 0.038, true),
+            (0.0, 0.0, true),
+            (f64::NAN, 0.01, true),
         ] {
             let worth = Worth { lens, paths };
-            assert_eq!(worth.needs_both(), needs_both, "{worth}");
-            assert!(!(worth.needs_both() && worth.leaves_nothing()), "{worth}");
+            assert_eq!(worth.leaves_nothing(), leaves_nothing, "{worth}");
         }
-        let little = Worth {
-            lens: 0.034,
-            paths: 0.038,
-        };
-        assert!(little.leaves_nothing() && !little.needs_both(), "{little}");
     }
 }

@@ -1,4 +1,4 @@
-//! What the camera's first trial finds and decides, and what follows from it.
+//! What the camera's first trial finds and decides.
 
 use burn::tensor::{DType, Device, Tensor};
 use capture::{Capture, samples};
@@ -7,7 +7,7 @@ use io::{Frame, Image, Map, Scene, View};
 use limpid_tests::{noise, quick_devices, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
 use trainer::settings::BlurKind;
-use trainer::{BlurFigures, BlurModel, CameraFigures, Settings, Trainer};
+use trainer::{BlurFigures, CameraFigures, Settings, Trainer};
 
 const FRAMES: usize = 6;
 const SIZE: f64 = 4.0;
@@ -83,38 +83,6 @@ fn filmed(drift: &[f64], shake: f64, aperture: f64, device: &Device) -> Scene {
     Scene::of_frames((0..frames).map(frame).collect())
 }
 
-/// A shake, an aperture, the aperture that a run begins with, and whether its first trial puts kernels on top. At this size, with
-/// six frames, a trial finds no lens beside paths that does not begin as large as it is (RESULTS.md, "Kernels on top of the
-/// camera").
-#[derive(Clone, Copy)]
-struct Blurred {
-    shake: f64,
-    aperture: f64,
-    start: f64,
-    puts_kernels_on_top: bool,
-}
-
-const BOTH: Blurred = Blurred {
-    shake: 0.12,
-    aperture: 0.06,
-    start: 0.08,
-    puts_kernels_on_top: true,
-};
-const SHAKEN: Blurred = Blurred {
-    shake: 0.12,
-    aperture: 0.0,
-    start: 0.0125,
-    puts_kernels_on_top: false,
-};
-
-/// A run behind its first trial, and what was decided there.
-fn trained(blurred: Blurred, model: BlurKind, device: &Device) -> (Trainer, Vec<String>) {
-    let mut settings = settings(3000, model);
-    settings.camera.aperture = blurred.start;
-    let scene = scene(blurred.shake, blurred.aperture, device);
-    behind_first_trial(scene, settings, device)
-}
-
 fn settings(iterations: usize, model: BlurKind) -> Settings {
     let mut settings = Settings {
         iterations,
@@ -141,47 +109,25 @@ fn camera_figures(trainer: &Trainer) -> CameraFigures {
     }
 }
 
-fn has_both(trainer: &Trainer) -> bool {
-    matches!(trainer.model().blur, BlurModel::Both(_))
-}
-
 #[test]
-fn what_the_first_trial_decides_is_said_and_done() {
+fn what_the_first_trial_decides_is_said() {
     for (name, device) in quick_devices() {
-        for blurred in [BOTH, SHAKEN] {
-            let puts_kernels_on_top = blurred.puts_kernels_on_top;
-            let (trainer, decided) = trained(blurred, BlurKind::Auto, &device);
-            assert_eq!(decided.len(), 1, "{name}: {decided:?}");
-            assert_eq!(has_both(&trainer), puts_kernels_on_top, "{decided:?}");
-            let said = decided[0].contains("kernels explain what the camera leaves");
-            assert_eq!(said, puts_kernels_on_top, "{decided:?}");
-        }
+        let decided = |model, has_parts| {
+            let mut settings = settings(3000, model);
+            settings.camera.path = has_parts;
+            settings.camera.lens = has_parts;
+            behind_first_trial(scene(0.12, 0.0, &device), settings, &device).1
+        };
+        let [said] = &decided(BlurKind::Auto, true)[..] else {
+            panic!("{name}: one decision");
+        };
+        assert!(said.contains("the camera explains blur"), "{name}: {said}");
+        let [said] = &decided(BlurKind::Auto, false)[..] else {
+            panic!("{name}: one decision");
+        };
+        assert!(said.contains("no blur is modelled"), "{name}: {said}");
         // What was asked for is not up to a trial.
-        let (trainer, decided) = trained(BOTH, BlurKind::Camera, &device);
-        assert!(!has_both(&trainer) && decided.is_empty(), "{decided:?}");
-    }
-}
-
-/// A checkpoint says what was decided, though the settings leave it open.
-#[test]
-fn a_run_that_was_interrupted_behind_the_decision_goes_on_with_the_same_bits() {
-    for (name, device) in quick_devices() {
-        let (mut trainer, _) = trained(BOTH, BlurKind::Auto, &device);
-        let folder = tempfile::tempdir().expect("a folder");
-        trainer.save(folder.path()).expect("saved");
-        let scene = scene(BOTH.shake, BOTH.aperture, &device);
-        let mut resumed = Trainer::load(folder.path(), scene, &device).expect("loaded");
-        assert!(has_both(&resumed), "{name}");
-        for _ in 0..30 {
-            let [loss, again] =
-                [&mut trainer, &mut resumed].map(|t| t.step().expect("a step").loss);
-            assert_eq!(
-                loss.to_bits(),
-                again.to_bits(),
-                "{name}: {}",
-                trainer.iteration()
-            );
-        }
+        assert_eq!(decided(BlurKind::Camera, true), [""; 0], "{name}");
     }
 }
 
