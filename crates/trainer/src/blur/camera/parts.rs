@@ -97,7 +97,8 @@ impl CameraBlur {
         Ok((left, worth))
     }
 
-    /// The same of all paths. They are worth what they explain beyond a camera without them that drifts as they do.
+    /// The same of all paths. They are worth what they explain beyond a camera without them that drifts as they do, and a softer
+    /// scene.
     fn try_without_paths(
         &mut self,
         world: &World,
@@ -110,13 +111,12 @@ impl CameraBlur {
         let mut without = self.clone();
         without.capture.paths = self.capture.paths.zeros_like();
         let drift = drift(self.capture.mean_motions());
-        let drifted = |(frame, look): (usize, &Look<'_>)| {
-            let motion = drift.clone().narrow(0, frame, 1);
-            without.error(world, &look.moved(motion, self.scene_size))
-        };
-        let drifted = looks.iter().enumerate().map(drifted);
-        let drifted = drifted.collect::<Result<Vec<_>, _>>()?;
-        let worth = share_more(total(&drifted), &now);
+        let drifted = looks.iter().enumerate();
+        let drifted =
+            drifted.map(|(i, look)| look.moved(drift.clone().narrow(0, i, 1), self.scene_size));
+        let drifted: Vec<_> = drifted.collect();
+        let (_, softened) = without.softened_errors(world, &drifted)?;
+        let worth = share_more(softened, &now);
         if pays(worth) {
             return Ok((now, worth));
         }
