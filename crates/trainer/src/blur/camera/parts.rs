@@ -10,13 +10,20 @@ use crate::world::World;
 use burn::tensor::Tensor;
 use std::fmt;
 
-/// A lens, another aperture, or paths at all pay if without them the error of all frames is larger by more than this share.
+/// A lens or another aperture pays if without it the error of all frames is larger by more than this share.
 /// Gaussians have sharpened under what they were trained with, so that leaving it out costs something even where it was not
 /// there. (RESULTS.md, "A lens that is not there", has what was seen.)
 const PART_PAYS: f64 = 0.05;
-/// Whether a part stays that is worth so much.
-fn pays(worth: f64) -> bool {
+/// Paths pay if they are worth more than this: they can take a share of what a lens blurs, which no softness explains either.
+/// (RESULTS.md, "What a trial sees".)
+const PATHS_PAY: f64 = 0.12;
+
+fn lens_pays(worth: f64) -> bool {
     worth > PART_PAYS
+}
+
+fn paths_pay(worth: f64) -> bool {
+    worth > PATHS_PAY
 }
 
 /// A lens that does not pay stays if without it the error is larger by more than this share than with the focus that explains each
@@ -37,7 +44,7 @@ pub(crate) struct Worth {
 impl Worth {
     /// Whether the trial left out both, so that nothing explains blur any more.
     pub(crate) fn leaves_nothing(&self) -> bool {
-        !pays(self.lens) && !pays(self.paths)
+        !lens_pays(self.lens) && !paths_pay(self.paths)
     }
 }
 
@@ -82,15 +89,15 @@ impl CameraBlur {
         without.capture.aperture = self.capture.aperture.zeros_like();
         let (left, softened) = without.softened_errors(world, looks)?;
         let worth = share_more(softened, &now);
-        if pays(worth) && !refocuses {
+        if lens_pays(worth) && !refocuses {
             return Ok((now, worth));
         }
         let focused = self.try_focuses(world, looks, &now)?;
-        if pays(worth) {
+        if lens_pays(worth) {
             return Ok((focused, worth));
         }
         let focused_worth = share_more(total(&left), &focused);
-        if pays(share_more(softened, &focused)) && focused_worth > FOCUSED_LENS_PAYS {
+        if lens_pays(share_more(softened, &focused)) && focused_worth > FOCUSED_LENS_PAYS {
             return Ok((focused, focused_worth));
         }
         *self = without;
@@ -117,7 +124,7 @@ impl CameraBlur {
         let drifted: Vec<_> = drifted.collect();
         let (_, softened) = without.softened_errors(world, &drifted)?;
         let worth = share_more(softened, &now);
-        if pays(worth) {
+        if paths_pay(worth) {
             return Ok((now, worth));
         }
         *self = without;
@@ -192,6 +199,7 @@ mod tests {
             (0.085, 0.27, false),
             (0.02, 0.6, false),
             (0.15, 0.04, false),
+            (0.034, 0.09, true),
             (0.034, 0.038, true),
             (0.0, 0.0, true),
             (f64::NAN, 0.01, true),
