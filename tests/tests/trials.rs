@@ -109,6 +109,27 @@ fn camera_figures(trainer: &Trainer) -> CameraFigures {
     }
 }
 
+/// Where frames have a lens beside paths both stay, and where they have paths alone no lens is found. (At this size, with six
+/// frames, a lens beside paths is looked for with an aperture near its own: RESULTS.md, "Kernels on top of the camera".)
+#[test]
+fn a_lens_is_found_beside_paths_where_it_is() {
+    for (name, device) in quick_devices() {
+        for (aperture, start) in [(0.06, 0.08), (0.0, 0.0125)] {
+            let mut settings = settings(3000, BlurKind::Auto);
+            settings.camera.aperture = start;
+            let scene = scene(0.12, aperture, &device);
+            let figures = camera_figures(&behind_first_trial(scene, settings, &device).0);
+            assert_eq!(
+                figures.aperture > 0.0,
+                aperture > 0.0,
+                "{name}: {figures:?}"
+            );
+            let moves = figures.frames.iter().any(|frame| frame.blur_px > 0.0);
+            assert!(moves, "{name}, {aperture}: {figures:?}");
+        }
+    }
+}
+
 #[test]
 fn what_the_first_trial_decides_is_said() {
     for (name, device) in quick_devices() {

@@ -35,7 +35,7 @@ pub struct Kernels {
 }
 
 /// What a checkpoint holds of kernels beside their parameters: the gauge's table.
-pub(crate) const TABLE: &str = "gauge";
+const TABLE: &str = "gauge";
 
 /// Weights of its own terms.
 #[derive(Clone, Copy, Debug)]
