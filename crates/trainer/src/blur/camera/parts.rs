@@ -10,22 +10,13 @@ use crate::world::World;
 use burn::tensor::Tensor;
 use std::fmt;
 
-/// A lens or another aperture pays if without it the error of all frames is larger by more than this share.
+/// A part, or another aperture, pays if without it the error of all frames is larger by more than this share.
 /// Gaussians have sharpened under what they were trained with, so that leaving it out costs something even where it was not
 /// there. (RESULTS.md, "A lens that is not there", has what was seen.)
 const PART_PAYS: f64 = 0.05;
-/// Paths pay if they are worth more than this: they can take a share of what a lens blurs, which no softness explains either.
-/// (RESULTS.md, "What a trial sees".)
-const PATHS_PAY: f64 = 0.12;
-
-fn lens_pays(worth: f64) -> bool {
-    worth > PART_PAYS
-}
-
-fn paths_pay(worth: f64) -> bool {
-    worth > PATHS_PAY
-}
-
+/// Beside a lens that stays, paths pay if they are worth more than this: they can take a share of what it blurs, which no softness
+/// explains either. (RESULTS.md, "What a trial sees".)
+const PATHS_PAY_BESIDE_LENS: f64 = 0.12;
 /// A lens that does not pay stays if without it the error is larger by more than this share than with the focus that explains each
 /// frame best, and pays beyond a softer scene with it: in a short run focus has not come far by itself. So much more, since many
 /// distances are tried on the very frames that are to be explained. (RESULTS.md, "Focus that is tried out" and "A lens that is not
@@ -33,6 +24,10 @@ fn paths_pay(worth: f64) -> bool {
 const FOCUSED_LENS_PAYS: f64 = 0.13;
 /// How many distances of focus are tried on a frame.
 const FOCUSES: usize = 5;
+
+fn pays(worth: f64) -> bool {
+    worth > PART_PAYS
+}
 
 /// By what share the error of all frames grows without the lens, and without the paths.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +39,7 @@ pub(crate) struct Worth {
 impl Worth {
     /// Whether the trial left out both, so that nothing explains blur any more.
     pub(crate) fn leaves_nothing(&self) -> bool {
-        !lens_pays(self.lens) && !paths_pay(self.paths)
+        !pays(self.lens) && !pays(self.paths)
     }
 }
 
@@ -89,15 +84,15 @@ impl CameraBlur {
         without.capture.aperture = self.capture.aperture.zeros_like();
         let (left, softened) = without.softened_errors(world, looks)?;
         let worth = share_more(softened, &now);
-        if lens_pays(worth) && !refocuses {
+        if pays(worth) && !refocuses {
             return Ok((now, worth));
         }
         let focused = self.try_focuses(world, looks, &now)?;
-        if lens_pays(worth) {
+        if pays(worth) {
             return Ok((focused, worth));
         }
         let focused_worth = share_more(total(&left), &focused);
-        if lens_pays(share_more(softened, &focused)) && focused_worth > FOCUSED_LENS_PAYS {
+        if pays(share_more(softened, &focused)) && focused_worth > FOCUSED_LENS_PAYS {
             return Ok((focused, focused_worth));
         }
         *self = without;
@@ -124,7 +119,11 @@ impl CameraBlur {
         let drifted: Vec<_> = drifted.collect();
         let (_, softened) = without.softened_errors(world, &drifted)?;
         let worth = share_more(softened, &now);
-        if paths_pay(worth) {
+        let stay = match is_there(&self.capture.aperture) {
+            true => worth > PATHS_PAY_BESIDE_LENS,
+            false => pays(worth),
+        };
+        if stay {
             return Ok((now, worth));
         }
         *self = without;
@@ -165,6 +164,9 @@ impl CameraBlur {
         looks: &[Look<'_>],
         now: Vec<f64>,
     ) -> Result<Vec<f64>, TrainError> {
+        if !is_there(&self.capture.aperture) {
+            return Ok(now);
+        }
         let own = self.capture.aperture.clone();
         let (mut least, mut best) = (total(&now) / (1.0 + PART_PAYS), (now, 1.0));
         for times in [0.5, 0.7, 1.4, 2.0] {
@@ -199,7 +201,7 @@ mod tests {
             (0.085, 0.27, false),
             (0.02, 0.6, false),
             (0.15, 0.04, false),
-            (0.034, 0.09, true),
+            (0.034, 0.08, false),
             (0.034, 0.038, true),
             (0.0, 0.0, true),
             (f64::NAN, 0.01, true),
