@@ -119,11 +119,12 @@ impl CameraBlur {
         let drifted: Vec<_> = drifted.collect();
         let (_, softened) = without.softened_errors(world, &drifted)?;
         let worth = share_more(softened, &now);
-        let stay = match is_there(&self.capture.aperture) {
-            true => worth > PATHS_PAY_BESIDE_LENS,
-            false => pays(worth),
+        let limit = if is_there(&self.capture.aperture) {
+            PATHS_PAY_BESIDE_LENS
+        } else {
+            PART_PAYS
         };
-        if stay {
+        if worth > limit {
             return Ok((now, worth));
         }
         *self = without;
