@@ -24,25 +24,32 @@ use std::sync::{Mutex, PoisonError};
 /// Panics where none is left.
 #[must_use]
 pub fn devices() -> Vec<(&'static str, Device)> {
+    let named = std::env::var("LIMPID_BACKENDS").ok();
+    let is_wanted = |name: &str| {
+        named
+            .as_ref()
+            .is_none_or(|named| named.split(',').any(|one| one == name))
+    };
     let mut devices = vec![
         #[cfg(feature = "flex")]
         ("flex", Device::flex()),
         #[cfg(feature = "ndarray")]
         ("ndarray", ndarray()),
     ];
+    devices.retain(|(name, _)| is_wanted(name));
     #[cfg(feature = "wgpu")]
-    devices.extend(gpu().map(|gpu| ("wgpu", gpu.device.clone())));
-    if let Ok(wanted) = std::env::var("LIMPID_BACKENDS") {
-        devices.retain(|(name, _)| wanted.split(',').any(|w| w == *name));
-        if devices.is_empty() && cfg!(feature = "wgpu") && wanted == "wgpu" {
+    if is_wanted("wgpu") {
+        devices.extend(gpu().map(|gpu| ("wgpu", gpu.device.clone())));
+        if devices.is_empty() {
             skipped_once("wgpu finds no adapter on this machine");
-        } else {
-            assert!(
-                !devices.is_empty(),
-                "no backend of LIMPID_BACKENDS={wanted} is compiled in"
-            );
+            return devices;
         }
     }
+    assert!(
+        !devices.is_empty(),
+        "no backend of LIMPID_BACKENDS={} is compiled in",
+        named.unwrap_or_default()
+    );
     devices
 }
 

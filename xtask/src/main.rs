@@ -6,6 +6,7 @@
 
 use std::env;
 use std::ffi::{OsStr, OsString};
+use std::fs;
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -64,6 +65,13 @@ type Step = (
     (&'static str, &'static str),
 );
 
+/// The variable that names the backends whose tests run. A step that sets it runs [`backend_tests`] alone: all others are the
+/// same on every backend, and the step `test` has run them.
+const BACKENDS: &str = "LIMPID_BACKENDS";
+
+/// What compiles all backends that tests know: one build for every step that needs another one than the default.
+const ALL_BACKENDS: &str = "limpid-tests/ndarray,limpid-tests/wgpu,limpid/wgpu,limpid-bench/wgpu";
+
 /// The steps of `ci`, in their order. Where Burn is compiled, always the whole workspace: with `--package`, cargo would give
 /// the crates below it other features, and compile it again.
 const STEPS: [Step; 8] = [
@@ -93,15 +101,8 @@ const STEPS: [Step; 8] = [
     ("test", &["test", "--workspace"], NOTHING),
     (
         "ndarray",
-        &[
-            "test",
-            "--workspace",
-            "--features",
-            "limpid-tests/ndarray",
-            "--test",
-            "*",
-        ],
-        ("LIMPID_BACKENDS", "ndarray"),
+        &["test", "--workspace", "--features", ALL_BACKENDS],
+        (BACKENDS, "ndarray"),
     ),
     (
         "clippy-gpu",
@@ -110,7 +111,7 @@ const STEPS: [Step; 8] = [
             "--workspace",
             "--all-targets",
             "--features",
-            "limpid-tests/wgpu,limpid/wgpu,limpid-bench/wgpu",
+            ALL_BACKENDS,
             "--",
             "-D",
             "warnings",
@@ -119,15 +120,8 @@ const STEPS: [Step; 8] = [
     ),
     (
         "test-gpu",
-        &[
-            "test",
-            "--workspace",
-            "--features",
-            "limpid-tests/wgpu,limpid/wgpu,limpid-bench/wgpu",
-            "--test",
-            "*",
-        ],
-        ("LIMPID_BACKENDS", "wgpu"),
+        &["test", "--workspace", "--features", ALL_BACKENDS],
+        (BACKENDS, "wgpu"),
     ),
 ];
 
@@ -226,6 +220,11 @@ fn ci(steps: &[Step]) -> ExitCode {
         if !variable.is_empty() {
             command.env(variable, value);
         }
+        if *variable == BACKENDS {
+            for test in backend_tests(value) {
+                command.args(["--test", &test]);
+            }
+        }
         if *name == "test-gpu" {
             offer_software_gpu(&mut command);
         }
@@ -244,6 +243,38 @@ fn ci(steps: &[Step]) -> ExitCode {
         eprintln!("ci: {line}");
     }
     ExitCode::SUCCESS
+}
+
+/// The test targets of the workspace whose source asks for the list of backends, or names this one where the program has it.
+fn backend_tests(backend: &str) -> Vec<String> {
+    let mut asks: Vec<String> = vec!["devices(".into(), "devices_in(".into(), "computes(".into()];
+    if ALL_BACKENDS.contains(&format!("limpid/{backend}")) {
+        asks.push(format!("\"{backend}\""));
+    }
+    let mut packages = vec![
+        root().join("tests"),
+        root().join("bench"),
+        root().join("lab"),
+    ];
+    packages.extend(entries(&root().join("crates")));
+    let mut tests: Vec<String> = packages
+        .iter()
+        .flat_map(|package| entries(&package.join("tests")))
+        .filter(|path| {
+            let source = fs::read_to_string(path).unwrap_or_default();
+            path.extension() == Some(OsStr::new("rs"))
+                && asks.iter().any(|ask| source.contains(ask))
+        })
+        .filter_map(|path| Some(path.file_stem()?.to_str()?.to_owned()))
+        .collect();
+    tests.sort();
+    tests
+}
+
+/// What stands in a folder; nothing where there is none.
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).collect()
 }
 
 /// Where Debian's chromium keeps SwiftShader, a GPU that the CPU plays, with a Vulkan loader beside it.
@@ -447,6 +478,24 @@ mod tests {
         }
         let command = in_folder("build", "limpid");
         assert_eq!(command.get_current_dir(), None, "where the user is");
+    }
+
+    #[test]
+    fn tests_that_ask_for_a_backend_are_found() {
+        let tests = backend_tests("wgpu");
+        for (name, asks) in [
+            ("training_devices", true),
+            ("gpu", true),
+            ("program", true),
+            ("kills", false),
+            ("golden", false),
+        ] {
+            assert_eq!(
+                tests.iter().any(|test| test == name),
+                asks,
+                "{name} of {tests:?}"
+            );
+        }
     }
 
     #[test]
