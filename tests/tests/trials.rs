@@ -109,14 +109,16 @@ fn camera_figures(trainer: &Trainer) -> CameraFigures {
     }
 }
 
-/// Where frames have a lens beside paths both stay, and where they have paths alone no lens is found. (At this size, with six
-/// frames, a lens beside paths is looked for with an aperture near its own: RESULTS.md, "Kernels on top of the camera".)
+/// Where frames have a lens beside paths both stay, and some are averaged from more renders than a path or a lens alone may be;
+/// where they have paths alone no lens is found. (At this size, with six frames, a lens beside paths is looked for with an aperture
+/// near its own: RESULTS.md, "Kernels on top of the camera".)
 #[test]
 fn a_lens_is_found_beside_paths_where_it_is() {
     for (name, device) in quick_devices() {
         for (aperture, start) in [(0.06, 0.08), (0.0, 0.0125)] {
             let mut settings = settings(3000, BlurKind::Auto);
             settings.camera.aperture = start;
+            let [few, most] = [settings.camera.samples, settings.camera.most_samples()];
             let scene = scene(0.12, aperture, &device);
             let figures = camera_figures(&behind_first_trial(scene, settings, &device).0);
             assert_eq!(
@@ -126,6 +128,16 @@ fn a_lens_is_found_beside_paths_where_it_is() {
             );
             let moves = figures.frames.iter().any(|frame| frame.blur_px > 0.0);
             assert!(moves, "{name}, {aperture}: {figures:?}");
+            let samples = figures.frames.iter().map(|frame| frame.samples).max();
+            let allowed = if aperture > 0.0 {
+                few + 1..=most
+            } else {
+                2..=few
+            };
+            assert!(
+                samples.is_some_and(|samples| allowed.contains(&samples)),
+                "{name}, {aperture}: {samples:?} renders"
+            );
         }
     }
 }

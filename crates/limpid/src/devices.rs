@@ -45,7 +45,7 @@ impl Need {
         let pixels = frame.view.camera.num_pixels();
         Ok(Some(Self {
             gaussians: config.settings.gaussians.most(pixels),
-            samples: config.settings.camera.samples,
+            samples: config.settings.camera.most_samples(),
         }))
     }
 }

@@ -169,7 +169,7 @@ impl CameraBlur {
             let rendered = render_posed(posed, &viewpoint, look.screen_grad.clone())?;
             return Ok(Shown::sharp(rendered));
         };
-        let mut view = self.view(frame);
+        let mut view = self.view(frame, look.iteration);
         if look.view.is_none() {
             view = self.with_spots(frame, view);
         }
@@ -238,18 +238,25 @@ impl CameraBlur {
         world.exposed_at(&times, &known.collect::<Vec<_>>())
     }
 
-    /// How many renders a frame with such a blur is averaged from. A blur that is there at all has a gradient: with a single
-    /// render, one that became small could never grow again.
-    fn samples(&self, blur_px: f64, disc_px: f64) -> usize {
+    /// How many renders a frame with such a blur is averaged from at iteration `it`. A blur that is there at all has a gradient: with
+    /// a single render, one that became small could never grow again.
+    fn samples(&self, blur_px: f64, disc_px: f64, it: usize) -> usize {
         if blur_px + disc_px == 0.0 {
             return 1;
         }
+        // Before the first trial a lens and paths are only supposed.
+        let by_both = blur_px > 0.0 && disc_px > 0.0 && self.moments.trials.first() < Some(&it);
         let CameraSettings {
             spacing_px,
             samples,
             ..
         } = self.settings;
-        samples_for(blur_px, disc_px, spacing_px, samples).max(LEAST_SAMPLES)
+        let limit = if by_both {
+            self.settings.most_samples()
+        } else {
+            samples
+        };
+        samples_for(blur_px, disc_px, spacing_px, limit).max(LEAST_SAMPLES)
     }
 
     /// See [`super::BlurModel::taken`].

@@ -2,6 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Where a path and a lens blur a frame, it is averaged from twice as many renders, but for that from no more than so many: a disc
+/// drawn along a path covers more than either. (RESULTS.md, "Twice as many renders for both".)
+const MOST_FOR_BOTH: usize = 16;
+
 /// What explains blur.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -70,7 +74,7 @@ pub struct CameraSettings {
     pub lens: bool,
     /// Degree of the paths, 1 to 3.
     pub path_degree: usize,
-    /// A frame is averaged from at most so many renders, 2 to 64.
+    /// A frame is averaged from at most so many renders, 2 to 64, and from twice as many, up to 16, where a path and a lens blur it.
     pub samples: usize,
     /// Distance of the samples from each other in the image, px.
     pub spacing_px: f64,
@@ -82,6 +86,14 @@ pub struct CameraSettings {
     pub aperture: f64,
     /// Time for which the shutter is open at the start, in units of frames.
     pub shutter: f64,
+}
+
+impl CameraSettings {
+    /// From how many renders a frame is averaged at most where a path and a lens blur it.
+    #[must_use]
+    pub fn most_samples(&self) -> usize {
+        self.samples.max(MOST_FOR_BOTH.min(2 * self.samples))
+    }
 }
 
 impl Default for CameraSettings {
@@ -118,6 +130,22 @@ impl From<TransferKind> for splat_core::Transfer {
             TransferKind::Srgb => Self::Srgb,
             TransferKind::Power(gamma) => Self::Power(gamma),
             TransferKind::Linear => Self::Linear,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_both_blur_has_twice_as_many_renders_up_to_sixteen_and_never_fewer() {
+        for (samples, most) in [(2, 4), (4, 8), (8, 16), (9, 16), (16, 16), (64, 64)] {
+            let camera = CameraSettings {
+                samples,
+                ..CameraSettings::default()
+            };
+            assert_eq!(camera.most_samples(), most, "{samples}");
         }
     }
 }

@@ -11,8 +11,8 @@ const LEAST_DISPARITY: f64 = 1e-3;
 const SPOT_SAMPLES: usize = 2000;
 
 impl CameraBlur {
-    /// What the camera does in a frame.
-    pub(super) fn view(&self, frame: usize) -> TakenView {
+    /// What the camera does in a frame, and how it is rendered at iteration `it`.
+    pub(super) fn view(&self, frame: usize, it: usize) -> TakenView {
         let focal = self.focal[frame];
         let taken = self.capture.taken(frame);
         let blur_px = taken.path_px(focal);
@@ -26,7 +26,7 @@ impl CameraBlur {
                 blur_px,
                 focus: self.scene_size / taken.focus.max(LEAST_DISPARITY),
                 disc_px,
-                samples: self.samples(blur_px, disc_px),
+                samples: self.samples(blur_px, disc_px, it),
                 psnr: None,
             },
             shutter: taken.shutter,

@@ -54,7 +54,7 @@ impl CameraBlur {
         view: &ViewRef<'_>,
     ) -> Result<Tensor<3>, TrainError> {
         let posed = world.pose(look.viewpoint.time);
-        let taken = self.view(view.frame);
+        let taken = self.view(view.frame, look.iteration);
         let seen = if taken.frame.samples == 1 {
             let viewpoint = look.viewpoint_of(&posed.splats);
             render_posed(posed, &viewpoint, None)?.color()
