@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 use io::{Frame, Image, Map, Scene, View};
 use limpid_tests::{noise, quick_devices, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
-use trainer::settings::BlurKind;
+use trainer::settings::{BlurKind, DiscKind};
 use trainer::{BlurFigures, CameraFigures, Settings, Trainer};
 
 const FRAMES: usize = 6;
@@ -161,6 +161,30 @@ fn what_the_first_trial_decides_is_said() {
         assert!(said.contains("no blur is modelled"), "{name}: {said}");
         // What was asked for is not up to a trial.
         assert_eq!(decided(BlurKind::Camera, true), [""; 0], "{name}");
+    }
+}
+
+/// Also where discs take no samples: Gaussians that grow, and layers of a sharp render.
+#[test]
+fn a_lens_is_found_by_whatever_makes_its_discs() {
+    for (name, device) in quick_devices() {
+        for disc in [DiscKind::Grown, DiscKind::Layers] {
+            let mut settings = settings(3000, BlurKind::Camera);
+            settings.camera.disc = disc;
+            settings.camera.aperture = 0.08;
+            let error = Trainer::new(scene(0.0, 0.06, &device), settings.clone(), &device).err();
+            let told = error.map(|error| error.to_string()).unwrap_or_default();
+            assert_eq!(
+                told.contains("camera.disc"),
+                disc == DiscKind::Layers,
+                "{told}"
+            );
+            settings.camera.path = false;
+            let scene = scene(0.0, 0.06, &device);
+            let figures = camera_figures(&behind_first_trial(scene, settings, &device).0);
+            let lens = figures.aperture > 0.0 && figures.frames.iter().all(|f| f.samples == 1);
+            assert!(lens, "{name}, {disc:?}: {figures:?}");
+        }
     }
 }
 

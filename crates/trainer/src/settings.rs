@@ -6,7 +6,7 @@ mod ranges;
 
 pub(crate) use ranges::LEAST_ITERATIONS;
 
-pub use blur::{BlurKind, BlurSettings, CameraSettings, TransferKind};
+pub use blur::{BlurKind, BlurSettings, CameraSettings, DiscKind, TransferKind};
 pub use meanings::Meaning;
 
 use serde::{Deserialize, Serialize};

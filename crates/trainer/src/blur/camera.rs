@@ -4,6 +4,9 @@
 mod account;
 mod drift;
 mod errors;
+mod grown;
+mod layers;
+mod lens;
 mod parts;
 mod softness;
 mod taken;
@@ -17,7 +20,7 @@ use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
 use crate::scene_shift::{SceneShift, Shared};
 use crate::schedule::PACED_ITERATIONS;
-use crate::settings::{CameraSettings, Settings};
+use crate::settings::{CameraSettings, DiscKind, Settings};
 use crate::survey::Survey;
 use crate::tensors::{constant, host, leaf};
 use crate::views::{Views, pose_tensor, poses_of};
@@ -25,7 +28,10 @@ use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for, turns};
 use glam::DAffine3;
-use splat_core::{Exposed, Exposure, Movers, Splats, expose};
+use grown::grown;
+use layers::layered;
+use lens::Lens;
+use splat_core::{Exposed, Exposure, Extra, Movers, Splats, expose, render};
 use tracing::trace_span;
 
 /// By what part of a full turn the points of the lens turn from iteration to iteration: no two are alike.
@@ -173,9 +179,8 @@ impl CameraBlur {
         if look.view.is_none() {
             view = self.with_spots(frame, view);
         }
-        let count = view.frame.samples;
         let trace = CameraTrace { view };
-        if count == 1 {
+        if trace.view.frame.is_sharp() {
             let rendered = render_posed(posed, &viewpoint, look.screen_grad.clone())?;
             return Ok(Shown {
                 trace: Some(trace),
@@ -198,7 +203,7 @@ impl CameraBlur {
         })
     }
 
-    /// What the camera collects of these Gaussians, from more than one sample, through a lens turned by `turn` of a full turn.
+    /// What the camera collects of these Gaussians where they are not seen sharp, through a lens turned by `turn` of a full turn.
     fn exposed(
         &self,
         world: &World,
@@ -208,8 +213,34 @@ impl CameraBlur {
         turn: f64,
     ) -> Result<Exposed, TrainError> {
         let middle = look.viewpoint_of(&splats);
-        let taken = samples(view.frame.samples, turn);
+        let mut taken = samples(view.frame.samples, turn);
         let capture = self.learned(view);
+        let lens = Lens {
+            aperture: capture.aperture.clone(),
+            focus: capture.focus.clone().narrow(0, frame, 1),
+            size: self.scene_size,
+        };
+        let splats = match self.settings.disc {
+            DiscKind::Points => splats,
+            DiscKind::Grown => {
+                for sample in &mut taken {
+                    *sample = Sample::through_the_middle(sample.moment);
+                }
+                grown(splats, &middle, &lens)
+            }
+            DiscKind::Layers => {
+                let extra = Extra {
+                    screen_grad: look.screen_grad.clone(),
+                    ..Extra::default()
+                };
+                let rendered = render(splats, &middle, extra)?;
+                let (focal, range) = (self.focal[frame], self.depth_range);
+                return Ok(Exposed {
+                    color: layered(&rendered, &lens, focal, range, self.settings.transfer),
+                    radii: rendered.radii(),
+                });
+            }
+        };
         let exposure = Exposure {
             poses: capture.poses(frame, &middle.cam_from_world, &taken, self.scene_size),
             movers: self.movers(world, look.viewpoint.time, &taken, view.shutter),
@@ -241,6 +272,10 @@ impl CameraBlur {
     /// How many renders a frame with such a blur is averaged from at iteration `it`. A blur that is there at all has a gradient: with
     /// a single render, one that became small could never grow again.
     fn samples(&self, blur_px: f64, disc_px: f64, it: usize) -> usize {
+        let disc_px = match self.settings.disc {
+            DiscKind::Points => disc_px,
+            DiscKind::Grown | DiscKind::Layers => 0.0,
+        };
         if blur_px + disc_px == 0.0 {
             return 1;
         }

@@ -72,6 +72,8 @@ pub struct CameraSettings {
     pub path: bool,
     /// Whether it has a lens with an aperture and a focus.
     pub lens: bool,
+    /// What makes discs of what is out of focus.
+    pub disc: DiscKind,
     /// Degree of the paths, 1 to 3.
     pub path_degree: usize,
     /// A frame is averaged from at most so many renders, 2 to 64, and from twice as many, up to 16, where a path and a lens blur it.
@@ -101,6 +103,7 @@ impl Default for CameraSettings {
         Self {
             path: true,
             lens: true,
+            disc: DiscKind::Points,
             path_degree: 2,
             samples: 8,
             spacing_px: 0.75,
@@ -110,6 +113,19 @@ impl Default for CameraSettings {
             shutter: 0.6,
         }
     }
+}
+
+/// What makes discs of what is out of focus.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DiscKind {
+    /// The scene is seen from many points of the lens.
+    #[default]
+    Points,
+    /// Gaussians grow by the disc at their depth, so that one render has them.
+    Grown,
+    /// Layers of depth of a sharp render are blurred, one over the other; there are no paths then.
+    Layers,
 }
 
 /// How a picture's values stand for light.

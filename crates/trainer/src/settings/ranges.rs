@@ -1,6 +1,6 @@
 //! The range of every setting.
 
-use super::{Settings, TransferKind};
+use super::{DiscKind, Settings, TransferKind};
 use crate::TrainError;
 
 /// What a setting may be.
@@ -93,6 +93,11 @@ impl Settings {
             (1..=3).contains(&c.path_degree),
             "camera.path_degree",
             "1 to 3",
+        );
+        check(
+            c.disc != DiscKind::Layers || !c.path,
+            "camera.disc",
+            "`points` or `grown` where there are paths (`layers` wants camera.path = false)",
         );
         check((2..=64).contains(&c.samples), "camera.samples", "2 to 64");
         if let TransferKind::Power(gamma) = c.transfer {

@@ -55,7 +55,7 @@ impl CameraBlur {
     ) -> Result<Tensor<3>, TrainError> {
         let posed = world.pose(look.viewpoint.time);
         let taken = self.view(view.frame, look.iteration);
-        let seen = if taken.frame.samples == 1 {
+        let seen = if taken.frame.is_sharp() {
             let viewpoint = look.viewpoint_of(&posed.splats);
             render_posed(posed, &viewpoint, None)?.color()
         } else {

@@ -88,3 +88,10 @@ pub struct CameraFrame {
     /// PSNR of what the camera is said to have seen against the frame, dB.
     pub psnr: Option<f64>,
 }
+
+impl CameraFrame {
+    /// Neither a path nor a lens blurs it.
+    pub(super) fn is_sharp(&self) -> bool {
+        self.blur_px + self.disc_px == 0.0
+    }
+}

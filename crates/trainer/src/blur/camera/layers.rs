@@ -1,0 +1,254 @@
+//! A lens without samples: a sharp render cut into layers of depth, each blurred by the disc at its depth, one over the other.
+//!
+//! It is what others do to pictures with depth. What is hidden in the sharp render stays hidden, also behind an edge that a lens
+//! sees past.
+
+use super::Lens;
+use crate::settings::TransferKind;
+use burn::tensor::module::conv2d;
+use burn::tensor::ops::{ConvOptions, PadMode};
+use burn::tensor::{Tensor, TensorData};
+use host::read;
+use splat_core::Rendered;
+
+/// Layers between near and far, evenly in disparity.
+const LAYERS: usize = 6;
+/// The largest reach of a disc, px.
+const LARGEST_REACH: usize = 15;
+/// Light and depth are divided by no smaller share of what covers a pixel.
+const LEAST_COVER: f64 = 1e-3;
+
+/// What the lens makes of a sharp render, [H, W, 3]. `focal` is the focal length, px, and `near` and `far` are depths between which
+/// the layers lie, scene units.
+pub(super) fn layered(
+    rendered: &Rendered,
+    lens: &Lens,
+    focal: f64,
+    [near, far]: [f64; 2],
+    transfer: TransferKind,
+) -> Tensor<3> {
+    let [height, width, _] = rendered.output().dims();
+    let alpha = rendered.alpha().reshape([height, width, 1]);
+    let cover = alpha.clone().clamp_min(LEAST_COVER);
+    let depth = rendered.depth().reshape([height, width, 1]) / cover.clone();
+    let (first, last) = (1.0 / far, 1.0 / near);
+    let step = ((last - first) / (LAYERS - 1) as f64).max(1e-9);
+    let place = (depth.clamp_min(1e-6).recip() - first) / step;
+    let place = place.clamp(0.0, (LAYERS - 1) as f64);
+    // Premultiplied light and what covers it.
+    let light = light_of(rendered.color() / cover, transfer) * alpha.clone();
+    let layered = Tensor::cat(vec![light, alpha.clone()], 2);
+
+    let mut passed = alpha.clone().ones_like();
+    let mut sum = layered.clone().zeros_like();
+    for layer in (0..LAYERS).rev() {
+        // Between two layers what is seen is whole in the farther one, under its share in the nearer.
+        let before = place.clone() - layer as f64;
+        let nearer = before.clone().greater_equal_elem(1.0);
+        let share = (before + 1.0).clamp(0.0, 1.0).mask_fill(nearer, 0.0);
+        let at = 1.0 / (first + step * layer as f64);
+        let radius = lens.radius_in_image(at, focal);
+        let blurred = blurred(layered.clone() * share, radius);
+        let covered = blurred.clone().narrow(2, 3, 1).clamp(0.0, 1.0);
+        sum = sum + passed.clone() * blurred;
+        passed = passed * (-covered + 1.0);
+    }
+    // What a lens sees past an edge is not known: it is as what is seen there.
+    let cover = sum.clone().narrow(2, 3, 1).clamp_min(LEAST_COVER);
+    value_of(sum.narrow(2, 0, 3) / cover, transfer) * alpha
+}
+
+/// A picture [H, W, C] blurred by a disc of a radius [1, 1], px, whose rim is a pixel wide. The picture goes on as its border.
+fn blurred(picture: Tensor<3>, radius: Tensor<2>) -> Tensor<3> {
+    let [height, width, channels] = picture.dims();
+    let known: f64 = read(radius.clone().detach()).iter::<f64>().sum();
+    let reach = (known.abs() + 0.5).floor().clamp(0.0, LARGEST_REACH as f64) as usize;
+    if reach == 0 {
+        return picture;
+    }
+    let side = 2 * reach + 1;
+    let away = |i: usize| i as f64 - reach as f64;
+    let distances = (0..side * side).map(|i| away(i / side).hypot(away(i % side)));
+    let options = (&picture.device(), picture.dtype());
+    let distances = TensorData::new(distances.collect::<Vec<f64>>(), [side, side]);
+    let disc = radius.abs() + 0.5 - Tensor::<2>::from_data(distances, options);
+    let disc = disc.clamp(0.0, 1.0);
+    let disc = disc.clone() / disc.sum().reshape([1, 1]);
+    let planes = picture
+        .permute([2, 0, 1])
+        .reshape([channels, 1, height, width]);
+    let planes = planes.pad([(reach, reach), (reach, reach)], PadMode::Edge);
+    let kernel = disc.reshape([1, 1, side, side]);
+    let blurred = conv2d(
+        planes,
+        kernel,
+        None,
+        ConvOptions::new([1, 1], [0, 0], [1, 1], 1),
+    );
+    blurred
+        .reshape([channels, height, width])
+        .permute([1, 2, 0])
+}
+
+/// Light of a picture's values.
+fn light_of(value: Tensor<3>, transfer: TransferKind) -> Tensor<3> {
+    match transfer {
+        TransferKind::Linear => value,
+        TransferKind::Power(gamma) => value.clamp_min(1e-4).powf_scalar(gamma),
+        TransferKind::Srgb => {
+            let toe = value.clone().lower_elem(0.04045);
+            let curve = ((value.clone().clamp_min(0.04) + 0.055) / 1.055).powf_scalar(2.4);
+            curve.mask_where(toe, value / 12.92)
+        }
+    }
+}
+
+/// Values of a picture of light.
+fn value_of(light: Tensor<3>, transfer: TransferKind) -> Tensor<3> {
+    match transfer {
+        TransferKind::Linear => light,
+        TransferKind::Power(gamma) => light
+            .clamp_min(1e-4_f64.powf(gamma))
+            .powf_scalar(1.0 / gamma),
+        TransferKind::Srgb => {
+            let toe = light.clone().lower_elem(0.04045 / 12.92);
+            let curve = light.clone().clamp_min(0.003).powf_scalar(1.0 / 2.4) * 1.055 - 0.055;
+            curve.mask_where(toe, light * 12.92)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::tensor::{DType, Device};
+    use capture::{Capture, samples};
+    use splat_core::{Camera, Exposure, Extra, Splats, Transfer, Viewpoint, expose, render};
+
+    const SIZE: f64 = 4.0;
+    const SIDE: usize = 48;
+    const FOCAL: f64 = 60.0;
+
+    fn tensor<const D: usize>(values: Vec<f64>, shape: [usize; D]) -> Tensor<D> {
+        let data = TensorData::new(values, shape);
+        Tensor::from_data(data, (&Device::flex().autodiff(), DType::F64))
+    }
+
+    fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
+        read(tensor.detach()).iter::<f64>().collect()
+    }
+
+    /// A wall of a pattern at a depth, larger than the picture.
+    fn wall(depth: f64, pattern: impl Fn(usize, usize) -> f64) -> Splats {
+        let side = 60;
+        let step = depth / FOCAL;
+        let at = |i: usize| (i as f64 - side as f64 / 2.0 + 0.5) * step;
+        let cells = || (0..side).flat_map(|y| (0..side).map(move |x| (x, y)));
+        let n = side * side;
+        Splats {
+            means: tensor(
+                cells().flat_map(|(x, y)| [at(x), at(y), depth]).collect(),
+                [n, 3],
+            ),
+            quats: tensor([1.0, 0.0, 0.0, 0.0].repeat(n), [n, 4]),
+            left_rotations: None,
+            log_scales: tensor(vec![(0.8 * step).ln(); 3 * n], [n, 3]),
+            opacity_logits: tensor(vec![4.0; n], [n, 1]),
+            sh: tensor(
+                cells().flat_map(|(x, y)| [pattern(x, y); 3]).collect(),
+                [n, 3],
+            ),
+        }
+    }
+
+    fn view() -> Viewpoint {
+        Viewpoint {
+            camera: Camera::pinhole([SIDE; 2], [FOCAL; 2], [SIDE as f64 / 2.0; 2]),
+            cam_from_world: tensor(
+                vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+                [3, 4],
+            ),
+            sh_degree: 0,
+        }
+    }
+
+    fn lens(aperture: f64, focus: f64) -> Lens {
+        Lens {
+            aperture: tensor(vec![aperture], [1, 1]),
+            focus: tensor(vec![focus], [1, 1]),
+            size: SIZE,
+        }
+    }
+
+    fn stripes(x: usize, y: usize) -> f64 {
+        1.2 * ((0.7 * x as f64).sin() * (0.45 * y as f64).cos())
+    }
+
+    fn rms(a: &[f64], b: &[f64]) -> f64 {
+        let sum: f64 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
+        (sum / a.len() as f64).sqrt()
+    }
+
+    #[test]
+    fn through_a_closed_lens_the_picture_is_the_sharp_one() {
+        let rendered = render(wall(3.0, stripes), &view(), Extra::default()).expect("a render");
+        for transfer in [
+            TransferKind::Linear,
+            TransferKind::Srgb,
+            TransferKind::Power(2.2),
+        ] {
+            let seen = layered(&rendered, &lens(0.0, 1.0), FOCAL, [2.0, 9.0], transfer);
+            let off = rms(&values(seen), &values(rendered.color()));
+            assert!(off < 1e-9, "{transfer:?}: {off}");
+        }
+    }
+
+    /// At the depth of a layer closely, and between two of them as far as so few can tell.
+    #[test]
+    fn a_wall_out_of_focus_is_what_many_points_of_the_lens_see() {
+        for (depth, left) in [(1.0 / 0.366_667, 0.15), (2.5, 0.3), (3.1, 0.6)] {
+            let (splats, lens) = (wall(depth, stripes), lens(0.07, 1.0));
+            let mut capture = Capture::still(1, 1, (&Device::flex().autodiff(), DType::F64));
+            capture.aperture = lens.aperture.clone();
+            let exposure = Exposure {
+                poses: capture.poses(0, &view().cam_from_world, &samples(256, 0.0), SIZE),
+                movers: None,
+                transfer: Transfer::Srgb,
+            };
+            let taken = expose(splats.clone(), &view(), exposure, None).expect("a picture");
+            let rendered = render(splats, &view(), Extra::default()).expect("a render");
+            let seen = layered(&rendered, &lens, FOCAL, [2.0, 6.0], TransferKind::Srgb);
+            // Without the border, beyond which the wall goes on.
+            let inside = |picture: Tensor<3>| values(picture.narrow(0, 6, 36).narrow(1, 6, 36));
+            let taken = inside(taken.color);
+            let (sharp, off) = (
+                rms(&inside(rendered.color()), &taken),
+                rms(&inside(seen), &taken),
+            );
+            assert!(
+                sharp > 0.015 && off < left * sharp,
+                "{depth}: {off} of {sharp}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_apertures_gradient_is_that_of_differences() {
+        let splats = wall(2.5, stripes);
+        let rendered = render(splats, &view(), Extra::default()).expect("a render");
+        let loss = |lens: &Lens| {
+            let seen = layered(&rendered, lens, FOCAL, [2.0, 6.0], TransferKind::Srgb);
+            seen.square().mean()
+        };
+        let mut at = lens(0.07, 1.0);
+        at.aperture = at.aperture.require_grad();
+        let grads = loss(&at).backward();
+        let found = values(Tensor::<2>::from_inner(
+            at.aperture.grad(&grads).expect("a gradient"),
+        ));
+        let value = |aperture| values(loss(&lens(aperture, 1.0)))[0];
+        let numeric = (value(0.07 + 1e-6) - value(0.07 - 1e-6)) / 2e-6;
+        let off = (found[0] - numeric).abs();
+        assert!(off < 1e-5 * numeric.abs(), "{} {numeric}", found[0]);
+    }
+}
