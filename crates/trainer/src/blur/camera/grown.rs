@@ -6,24 +6,31 @@
 use super::Lens;
 use crate::tensors::rows_from;
 use burn::tensor::{Tensor, activation::softplus};
+use splat_core::cpu::LOW_PASS;
 use splat_core::{Splats, Viewpoint};
 
-/// Variance of the rasteriser's low-pass filter, px².
-const LOW_PASS: f64 = 0.3;
 /// Logarithms of scales beyond this are as good as this: their squares' products are finite.
 const LARGEST_LOG: f64 = 15.0;
 /// Optical depth under which nothing is drawn.
 const THINNEST: f64 = 1e-6;
+/// Square of a distance, scene units², that is nothing.
+const NOTHING: f64 = 1e-24;
 
-/// Gaussians as the lens sees them from the middle of the exposure: their covariance grown by that of the disc at their depth, R²/4
-/// along each axis for a disc of radius R, and their optical depth, -ln(1 - opacity), made smaller as their area in the image grows,
-/// so that as much light is held back as before.
+/// Gaussians as the lens sees them from the middle of the exposure: their covariance grown by that of a ball which looks as large as
+/// the disc at their depth, R²/4 along each axis on the optical axis for a disc of radius R, and their optical depth,
+/// -ln(1 - opacity), made smaller as their area in the image grows.
+///
+/// What is kept is optical depth over the image, so that a closed surface stays closed and a faint Gaussian keeps its light; a thick
+/// one by itself gains some.
 pub(super) fn grown(splats: Splats, view: &Viewpoint, lens: &Lens) -> Splats {
     let rotation = view.cam_from_world.clone().narrow(1, 0, 3);
     let place = view.cam_from_world.clone().narrow(1, 3, 1).transpose();
     let seen = splats.means.clone().matmul(rotation.clone().transpose()) + place; // [N, 3]
     let depth = seen.clone().narrow(1, 2, 1);
-    let disc = lens.radius_at(depth.clone()).square() * 0.25; // [N, 1]
+    // Aside of the axis a ball looks longer, outwards from the middle, than a disc that faces the lens.
+    let distance = seen.clone().square().sum_dim(1) + NOTHING;
+    let facing = ((depth.clone().square() + NOTHING) / distance).sqrt();
+    let disc = lens.radius_at(depth.clone()).square() * 0.25 * facing; // [N, 1]
     let pixel = (depth * (1.0 / view.camera.fx)).square() * LOW_PASS;
 
     let variances = (splats.log_scales.clone())
@@ -31,10 +38,10 @@ pub(super) fn grown(splats: Splats, view: &Viewpoint, lens: &Lens) -> Splats {
         .mul_scalar(2.0)
         .exp(); // [N, 3]
     let toward = in_own_axes(&splats, seen.matmul(rotation));
-    let area = |variances: Tensor<2>| area_along(&toward, variances);
-    let share = (area(variances.clone() + pixel.clone())
-        / area(variances.clone() + pixel + disc.clone()))
-    .sqrt(); // [N, 1]
+    // By logarithms, since areas of small scenes have squares that are nothing in f32.
+    let area = |variances: Tensor<2>| area_along(&toward, variances).log();
+    let before = area(variances.clone() + pixel.clone());
+    let share = ((before - area(variances.clone() + pixel + disc.clone())) * 0.5).exp(); // [N, 1]
     let thickness = (softplus(splats.opacity_logits, 1.0) * share).clamp_min(THINNEST);
     Splats {
         log_scales: (variances + disc).log().mul_scalar(0.5),
@@ -70,7 +77,7 @@ fn in_own_axes(splats: &Splats, directions: Tensor<2>) -> Tensor<2> {
 /// direction, [N, 3], in these axes: det(Σ) vᵀ Σ⁻¹ v.
 fn area_along(direction: &Tensor<2>, variances: Tensor<2>) -> Tensor<2> {
     // What stands in the camera is seen along no direction.
-    let squares = direction.clone().square() + 1e-24;
+    let squares = direction.clone().square() + NOTHING;
     let part = |i: usize| {
         let of = |j: usize| variances.clone().narrow(1, j % 3, 1);
         squares.clone().narrow(1, i, 1) * of(i + 1) * of(i + 2)
@@ -208,6 +215,79 @@ mod tests {
                 let at = format!("{depth}, {scales:?}: {found} for {points}, sharp {sharp}");
                 assert!(points > 1.2 * sharp, "{at}");
                 assert!((found - points).abs() < 0.25 * (points - sharp), "{at}");
+            }
+        }
+    }
+
+    /// One that moves and one that does not.
+    fn two() -> Splats {
+        let (sin, cos) = 0.4_f64.sin_cos();
+        Splats {
+            means: tensor(&[0.3, -0.2, 2.5, -0.6, 0.4, 5.0], [2, 3]),
+            quats: tensor(&[0.8, 0.3, -0.5, 0.4, 1.1, -0.2, 0.3, 0.6], [2, 4]),
+            left_rotations: Some(tensor(
+                &[cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0],
+                [1, 3, 3],
+            )),
+            log_scales: tensor(&[-2.2, -3.4, -4.0, -3.0, -2.5, -3.5], [2, 3]),
+            opacity_logits: tensor(&[0.7, -1.2], [2, 1]),
+            sh: tensor(&[1.5; 6], [2, 3]),
+        }
+    }
+
+    #[test]
+    fn gradients_agree_with_central_differences() {
+        let loss = |splats: &Splats, lens: &Lens| {
+            let grown = grown(splats.clone(), &ahead(), lens);
+            let weights = tensor(&[0.7, -1.1, 0.4, 0.9, 1.3, -0.6], [2, 3]);
+            let logits = grown.opacity_logits * tensor(&[1.2, -0.8], [2, 1]);
+            (grown.log_scales * weights).sum() + logits.sum()
+        };
+        type Field = fn(&mut Splats, &mut Lens) -> Tensor<2>;
+        type Put = fn(&mut Splats, &mut Lens, Tensor<2>);
+        let fields: [(&str, Field, Put); 6] = [
+            ("means", |s, _| s.means.clone(), |s, _, t| s.means = t),
+            ("quats", |s, _| s.quats.clone(), |s, _, t| s.quats = t),
+            (
+                "log_scales",
+                |s, _| s.log_scales.clone(),
+                |s, _, t| s.log_scales = t,
+            ),
+            (
+                "logits",
+                |s, _| s.opacity_logits.clone(),
+                |s, _, t| s.opacity_logits = t,
+            ),
+            (
+                "aperture",
+                |_, l| l.aperture.clone(),
+                |_, l, t| l.aperture = t,
+            ),
+            ("focus", |_, l| l.focus.clone(), |_, l, t| l.focus = t),
+        ];
+        for (name, field, put) in fields {
+            let (mut splats, mut at) = (two(), lens(0.08, 1.3));
+            let leaf = field(&mut splats, &mut at).require_grad();
+            put(&mut splats, &mut at, leaf.clone());
+            let grads = loss(&splats, &at).backward();
+            let found = values(Tensor::<2>::from_inner(
+                leaf.grad(&grads).expect("a gradient"),
+            ));
+            let (start, shape) = (values(leaf.clone()), leaf.dims());
+            for (k, found) in found.iter().enumerate() {
+                let value = |delta: f64| {
+                    let mut numbers = start.clone();
+                    numbers[k] += delta;
+                    let (mut splats, mut at) = (two(), lens(0.08, 1.3));
+                    put(&mut splats, &mut at, tensor(&numbers, shape));
+                    values(loss(&splats, &at))[0]
+                };
+                let numeric = (value(1e-6) - value(-1e-6)) / 2e-6;
+                let off = (found - numeric).abs();
+                assert!(
+                    off < 1e-6 * (1.0 + numeric.abs()),
+                    "{name} {k}: {found} {numeric}"
+                );
             }
         }
     }

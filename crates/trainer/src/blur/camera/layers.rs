@@ -13,8 +13,12 @@ use splat_core::Rendered;
 
 /// Layers between near and far, evenly in disparity.
 const LAYERS: usize = 6;
-/// The largest reach of a disc, px.
-const LARGEST_REACH: usize = 15;
+/// Larger discs are as this, px.
+const LARGEST_RADIUS: f64 = 15.0;
+/// Under this, px, a disc's variance, a quarter of its square, fits into three pixels.
+const SMALL_RADIUS: f64 = std::f64::consts::SQRT_2;
+/// Where a curve's straight start ends, in values of the picture.
+const TOE: f64 = 0.04045;
 /// Light and depth are divided by no smaller share of what covers a pixel.
 const LEAST_COVER: f64 = 1e-3;
 
@@ -36,7 +40,12 @@ pub(super) fn layered(
     let place = (depth.clamp_min(1e-6).recip() - first) / step;
     let place = place.clamp(0.0, (LAYERS - 1) as f64);
     // Premultiplied light and what covers it.
-    let light = light_of(rendered.color() / cover, transfer) * alpha.clone();
+    let curve = Curve::of(transfer);
+    let color = rendered.color() / cover;
+    let light = curve
+        .as_ref()
+        .map_or(color.clone(), |curve| curve.light(color));
+    let light = light * alpha.clone();
     let layered = Tensor::cat(vec![light, alpha.clone()], 2);
 
     let mut passed = alpha.clone().ones_like();
@@ -55,66 +64,88 @@ pub(super) fn layered(
     }
     // What a lens sees past an edge is not known: it is as what is seen there.
     let cover = sum.clone().narrow(2, 3, 1).clamp_min(LEAST_COVER);
-    value_of(sum.narrow(2, 0, 3) / cover, transfer) * alpha
+    let light = sum.narrow(2, 0, 3) / cover;
+    curve.map_or(light.clone(), |curve| curve.value(light)) * alpha
 }
 
-/// A picture [H, W, C] blurred by a disc of a radius [1, 1], px, whose rim is a pixel wide. The picture goes on as its border.
+/// A picture [H, W, C] blurred by a disc of a radius [1, 1], px, at most [`LARGEST_RADIUS`]. The picture goes on as its border.
 fn blurred(picture: Tensor<3>, radius: Tensor<2>) -> Tensor<3> {
     let [height, width, channels] = picture.dims();
     let known: f64 = read(radius.clone().detach()).iter::<f64>().sum();
-    let reach = (known.abs() + 0.5).floor().clamp(0.0, LARGEST_REACH as f64) as usize;
-    if reach == 0 {
+    if known == 0.0 {
         return picture;
     }
-    let side = 2 * reach + 1;
-    let away = |i: usize| i as f64 - reach as f64;
-    let distances = (0..side * side).map(|i| away(i / side).hypot(away(i % side)));
     let options = (&picture.device(), picture.dtype());
-    let distances = TensorData::new(distances.collect::<Vec<f64>>(), [side, side]);
-    let disc = radius.abs() + 0.5 - Tensor::<2>::from_data(distances, options);
-    let disc = disc.clamp(0.0, 1.0);
-    let disc = disc.clone() / disc.sum().reshape([1, 1]);
+    let disc = if known.abs() < SMALL_RADIUS {
+        // Pixels do not show it as a disc: any weights with its variance, which have a gradient however small it is.
+        let beside = radius.square() * 0.125;
+        let along = Tensor::cat(vec![beside.clone(), -beside.clone() * 2.0 + 1.0, beside], 1);
+        along.clone().transpose().matmul(along)
+    } else {
+        let radius = radius.abs().clamp_max(LARGEST_RADIUS);
+        let reach = (known.abs().min(LARGEST_RADIUS) + 0.5).floor() as usize;
+        let side = 2 * reach + 1;
+        let away = |i: usize| i as f64 - reach as f64;
+        let distances = (0..side * side).map(|i| away(i / side).hypot(away(i % side)));
+        let distances = TensorData::new(distances.collect::<Vec<f64>>(), [side, side]);
+        // Its rim is a pixel wide.
+        let disc = radius + 0.5 - Tensor::<2>::from_data(distances, options);
+        let disc = disc.clamp(0.0, 1.0);
+        disc.clone() / disc.sum().reshape([1, 1])
+    };
+    let side = disc.dims()[0];
+    let reach = side / 2;
     let planes = picture
         .permute([2, 0, 1])
         .reshape([channels, 1, height, width]);
     let planes = planes.pad([(reach, reach), (reach, reach)], PadMode::Edge);
     let kernel = disc.reshape([1, 1, side, side]);
-    let blurred = conv2d(
-        planes,
-        kernel,
-        None,
-        ConvOptions::new([1, 1], [0, 0], [1, 1], 1),
-    );
+    let whole = ConvOptions::new([1, 1], [0, 0], [1, 1], 1);
+    let blurred = conv2d(planes, kernel, None, whole);
     blurred
         .reshape([channels, height, width])
         .permute([1, 2, 0])
 }
 
-/// Light of a picture's values.
-fn light_of(value: Tensor<3>, transfer: TransferKind) -> Tensor<3> {
-    match transfer {
-        TransferKind::Linear => value,
-        TransferKind::Power(gamma) => value.clamp_min(1e-4).powf_scalar(gamma),
-        TransferKind::Srgb => {
-            let toe = value.clone().lower_elem(0.04045);
-            let curve = ((value.clone().clamp_min(0.04) + 0.055) / 1.055).powf_scalar(2.4);
-            curve.mask_where(toe, value / 12.92)
-        }
-    }
+/// A curve of sRGB's kind: straight up to [`TOE`], and from there on ((value + offset) / (1 + offset))^gamma.
+struct Curve {
+    gamma: f64,
+    offset: f64,
+    /// Light of a value in the straight part, per value.
+    slope: f64,
 }
 
-/// Values of a picture of light.
-fn value_of(light: Tensor<3>, transfer: TransferKind) -> Tensor<3> {
-    match transfer {
-        TransferKind::Linear => light,
-        TransferKind::Power(gamma) => light
-            .clamp_min(1e-4_f64.powf(gamma))
-            .powf_scalar(1.0 / gamma),
-        TransferKind::Srgb => {
-            let toe = light.clone().lower_elem(0.04045 / 12.92);
-            let curve = light.clone().clamp_min(0.003).powf_scalar(1.0 / 2.4) * 1.055 - 0.055;
-            curve.mask_where(toe, light * 12.92)
+impl Curve {
+    /// `None` where values are light.
+    fn of(transfer: TransferKind) -> Option<Self> {
+        match transfer {
+            TransferKind::Linear => None,
+            TransferKind::Srgb => Some(Self {
+                gamma: 2.4,
+                offset: 0.055,
+                slope: 1.0 / 12.92,
+            }),
+            TransferKind::Power(gamma) => Some(Self {
+                gamma,
+                offset: 0.0,
+                slope: TOE.powf(gamma - 1.0),
+            }),
         }
+    }
+
+    fn light(&self, value: Tensor<3>) -> Tensor<3> {
+        let start = value.clone().lower_elem(TOE);
+        let bent = (value.clone().clamp_min(TOE) + self.offset) / (1.0 + self.offset);
+        bent.powf_scalar(self.gamma)
+            .mask_where(start, value * self.slope)
+    }
+
+    fn value(&self, light: Tensor<3>) -> Tensor<3> {
+        let end = TOE * self.slope;
+        let start = light.clone().lower_elem(end);
+        let bent = light.clone().clamp_min(end).powf_scalar(1.0 / self.gamma);
+        let bent = bent * (1.0 + self.offset) - self.offset;
+        bent.mask_where(start, light / self.slope)
     }
 }
 
@@ -232,6 +263,28 @@ mod tests {
         }
     }
 
+    /// Its second moments are a disc's, whatever its size.
+    #[test]
+    fn a_point_spreads_by_the_discs_variance() {
+        for radius in [0.01, 0.3, 0.9, 1.3, 3.2, 7.0, 14.0] {
+            let side = 41;
+            let mut point = vec![0.0; side * side];
+            point[side * side / 2] = 1.0;
+            let spread = blurred(tensor(point, [side, side, 1]), tensor(vec![radius], [1, 1]));
+            let away = |i: usize| (i % side) as f64 - (side / 2) as f64;
+            let each = values(spread).into_iter().enumerate();
+            let [light, variance] = each.fold([0.0; 2], |[light, variance], (i, v)| {
+                [light + v, variance + v * away(i) * away(i)]
+            });
+            let expected = 0.25 * radius * radius;
+            assert!((light - 1.0).abs() < 1e-9, "{radius}");
+            assert!(
+                (variance / expected - 1.0).abs() < 0.06,
+                "{radius}: {variance} {expected}"
+            );
+        }
+    }
+
     #[test]
     fn the_apertures_gradient_is_that_of_differences() {
         let splats = wall(2.5, stripes);
@@ -240,15 +293,23 @@ mod tests {
             let seen = layered(&rendered, lens, FOCAL, [2.0, 6.0], TransferKind::Srgb);
             seen.square().mean()
         };
-        let mut at = lens(0.07, 1.0);
-        at.aperture = at.aperture.require_grad();
-        let grads = loss(&at).backward();
-        let found = values(Tensor::<2>::from_inner(
-            at.aperture.grad(&grads).expect("a gradient"),
-        ));
-        let value = |aperture| values(loss(&lens(aperture, 1.0)))[0];
-        let numeric = (value(0.07 + 1e-6) - value(0.07 - 1e-6)) / 2e-6;
-        let off = (found[0] - numeric).abs();
-        assert!(off < 1e-5 * numeric.abs(), "{} {numeric}", found[0]);
+        // Discs of pixels, and of less than half a pixel in every layer.
+        for aperture in [0.07, 0.004] {
+            let mut at = lens(aperture, 1.0);
+            at.aperture = at.aperture.require_grad();
+            let grads = loss(&at).backward();
+            let found = values(Tensor::<2>::from_inner(
+                at.aperture.grad(&grads).expect("a gradient"),
+            ));
+            let value = |aperture| values(loss(&lens(aperture, 1.0)))[0];
+            let step = 1e-6;
+            let numeric = (value(aperture + step) - value(aperture - step)) / (2.0 * step);
+            let off = (found[0] - numeric).abs();
+            assert!(
+                numeric != 0.0 && off < 1e-5 * numeric.abs(),
+                "{} {numeric}",
+                found[0]
+            );
+        }
     }
 }
