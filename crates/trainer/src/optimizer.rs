@@ -4,7 +4,7 @@ use crate::adam::{AdamState, AdamStep, LearningRate, adam_step};
 use crate::density::RowEdit;
 use crate::parameter::{Group, Parameter, Rows};
 use crate::plan::Plan;
-use crate::schedule::REFERENCE_ITERATIONS;
+use crate::schedule::{REFERENCE_ITERATIONS, Schedule};
 use burn::tensor::Tensor;
 use std::collections::BTreeMap;
 
@@ -72,11 +72,21 @@ pub(crate) fn learning_rate(
     let schedule = &plan.schedule;
     match parameter.rows() {
         Rows::Gaussians => {
-            let rest = at_pace(schedule.static_pace());
+            let share = plan.settings.learning_rates.static_final_share;
+            let rest = at_pace(pace_at_rest(schedule, parameter.group, share, it));
             at_pace(schedule.dynamic_pace()).then(num_dynamic, &rest, columns)
         }
         Rows::DynamicGaussians | Rows::Frames | Rows::Whole => at_pace(1.0),
     }
+}
+
+/// How many times as fast Gaussians that stand still learn at iteration `it`; means, whose rate falls by itself, do not settle.
+fn pace_at_rest(schedule: &Schedule, group: Group, final_share: f64, it: usize) -> f64 {
+    let left = match group {
+        Group::Means => 1.0,
+        _ => Schedule::settled(it, final_share),
+    };
+    schedule.static_pace() * left
 }
 
 /// The learning rate of a group with so many columns; what Gaussians are learns `pace` times as fast.
@@ -130,4 +140,35 @@ fn rate_at_pace(plan: &Plan, group: Group, columns: usize, it: usize, pace: f64)
 fn rigid(rate: f64, columns: usize) -> LearningRate {
     let rates = [rate, rate, rate, 0.2 * rate, 0.2 * rate, 0.2 * rate];
     LearningRate::PerColumn(rates.repeat(columns / 6))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::schedule::Modelled;
+    use crate::settings::Settings;
+
+    #[test]
+    fn what_stands_still_settles_and_its_means_by_their_own_rule() {
+        let modelled = Modelled {
+            motion: false,
+            unseen: false,
+            blur_moments: vec![],
+        };
+        let schedule = Schedule::new(&Settings::default(), 24, modelled);
+        let pace = |group, it| pace_at_rest(&schedule, group, 0.1, it) / schedule.static_pace();
+        for group in [
+            Group::Quats,
+            Group::LogScales,
+            Group::OpacityLogits,
+            Group::Sh,
+        ] {
+            assert!((1..=1000).all(|it| pace(group, it) == 1.0));
+            assert!((1000..3000).all(|it| pace(group, it) > pace(group, it + 1)));
+            assert!((pace(group, 2000) - 0.25).abs() < 1e-12);
+            assert!((pace(group, 40_000) - 0.1).abs() < 1e-12);
+            assert!(pace_at_rest(&schedule, group, 1.0, 40_000) == schedule.static_pace());
+        }
+        assert!((1..=3000).all(|it| pace(Group::Means, it) == 1.0));
+    }
 }

@@ -43,6 +43,8 @@ pub struct Modelled {
 pub(crate) const PACED_ITERATIONS: usize = 3000;
 /// The same of Gaussians that stand still. (RESULTS.md, "Static Gaussians learn faster", has what was seen.)
 const STATIC_PACED_ITERATIONS: usize = 12_000;
+/// For so many iterations they come closer at their whole rate; from then on what single frames leave in them counts for more.
+const STEADY_ITERATIONS: f64 = 1000.0;
 /// So many times faster at most, Gaussians…
 const FASTEST_GAUSSIANS: f64 = 4.0;
 /// … and paths.
@@ -161,6 +163,14 @@ impl Schedule {
     pub fn static_pace(&self) -> f64 {
         let pace = self.pace(STATIC_PACED_ITERATIONS);
         pace.clamp(1.0, FASTEST_GAUSSIANS)
+    }
+
+    /// What is left at iteration `it` of the rates of what stands still, whatever the length of the run: all for the first 1,000
+    /// iterations, then `(1,000 / it)²`, and no less than `final_share`.
+    #[must_use]
+    pub fn settled(it: usize, final_share: f64) -> f64 {
+        let left = STEADY_ITERATIONS / (it as f64).max(STEADY_ITERATIONS);
+        left.powi(2).max(final_share)
     }
 
     /// Factor on the rate of paths, with x = 3,000 / iterations: `min(8, x)` in shorter runs, `x^1/2` in longer ones.

@@ -332,6 +332,9 @@ pub struct LearningRates {
     pub scales: f64,
     /// Quaternions.
     pub rotations: f64,
+    /// Of Gaussians that stand still all of these but means fall from the thousandth iteration on, to this share at least
+    /// ([`crate::schedule::Schedule::settled`]).
+    pub static_final_share: f64,
     /// Motion coefficients at the start.
     pub coefficients: f64,
     /// Motion bases (translations in units of S) at the start.
@@ -378,6 +381,7 @@ impl Default for LearningRates {
             opacity: 0.05,
             scales: 5e-3,
             rotations: 1e-3,
+            static_final_share: 0.1,
             coefficients: 1e-2,
             bases: 1.6e-4,
             motion_final_share: 0.01,
@@ -407,6 +411,7 @@ impl Settings {
             iterations: 40_000,
             ..Self::default()
         };
+        settings.learning_rates.static_final_share = 1.0;
         settings.learning_rates.motion_final_share = 1.0;
         settings.learning_rates.blur_final_share = 1.0;
         settings.learning_rates.blur_short_run_share = 1.0;

@@ -76,7 +76,8 @@ pub struct CameraSettings {
     pub disc: DiscKind,
     /// Degree of the paths, 1 to 3.
     pub path_degree: usize,
-    /// A frame is averaged from at most so many renders, 2 to 64, and from twice as many, up to 16, where a path and a lens blur it.
+    /// A frame is averaged from at most so many renders, 2 to 64, and from twice as many, up to 16, where a path and points of a lens
+    /// blur it, once the first trial has left both in.
     pub samples: usize,
     /// Distance of the samples from each other in the image, px.
     pub spacing_px: f64,

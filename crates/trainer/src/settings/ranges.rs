@@ -120,6 +120,7 @@ impl Settings {
             (g.near, "gaussians.near"),
             (l.means, "learning_rates.means"),
             (l.means_final, "learning_rates.means_final"),
+            (l.static_final_share, "learning_rates.static_final_share"),
             (l.motion_final_share, "learning_rates.motion_final_share"),
             (l.blur_final_share, "learning_rates.blur_final_share"),
             (
