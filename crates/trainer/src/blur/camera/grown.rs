@@ -87,22 +87,11 @@ fn area_along(direction: &Tensor<2>, variances: Tensor<2>) -> Tensor<2> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::lens::examples::{ahead, lens, tensor, through_points, values};
     use super::*;
-    use burn::tensor::{DType, Device, TensorData};
-    use capture::{Capture, samples};
-    use splat_core::{Camera, Exposure, Extra, Transfer, expose, render};
+    use splat_core::{Extra, Transfer, render};
 
-    const SIZE: f64 = 4.0;
     const SIDE: usize = 64;
-
-    fn tensor<const D: usize>(values: &[f64], shape: [usize; D]) -> Tensor<D> {
-        let data = TensorData::new(values.to_vec(), shape);
-        Tensor::from_data(data, (&Device::flex().autodiff(), DType::F64))
-    }
-
-    fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-        host::read(tensor.detach()).iter::<f64>().collect()
-    }
 
     /// One Gaussian on the axis at a depth, turned by a quaternion and by what moves it.
     fn one(depth: f64, quat: [f64; 4], log_scales: [f64; 3], logit: f64) -> Splats {
@@ -120,25 +109,6 @@ mod tests {
         }
     }
 
-    fn ahead() -> Viewpoint {
-        Viewpoint {
-            camera: Camera::pinhole([SIDE; 2], [60.0; 2], [SIDE as f64 / 2.0; 2]),
-            cam_from_world: tensor(
-                &[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0],
-                [3, 4],
-            ),
-            sh_degree: 0,
-        }
-    }
-
-    fn lens(aperture: f64, focus: f64) -> Lens {
-        Lens {
-            aperture: tensor(&[aperture], [1, 1]),
-            focus: tensor(&[focus], [1, 1]),
-            size: SIZE,
-        }
-    }
-
     const SHAPES: [([f64; 4], [f64; 3]); 3] = [
         ([1.0, 0.0, 0.0, 0.0], [-3.0, -3.0, -3.0]),
         ([0.8, 0.3, -0.5, 0.4], [-2.2, -3.4, -6.0]),
@@ -149,7 +119,7 @@ mod tests {
     fn through_a_closed_lens_gaussians_are_what_they_are() {
         for (quat, scales) in SHAPES {
             for logit in [-4.0, 0.3, 5.0] {
-                let splats = grown(one(3.0, quat, scales, logit), &ahead(), &lens(0.0, 1.3));
+                let splats = grown(one(3.0, quat, scales, logit), &ahead(SIDE), &lens(0.0, 1.3));
                 assert!((values(splats.opacity_logits)[0] - logit).abs() < 1e-9);
                 for (after, before) in values(splats.log_scales).iter().zip(scales) {
                     assert!((after - before).abs() < 1e-12);
@@ -180,16 +150,8 @@ mod tests {
 
     /// A Gaussian out of focus through 256 points of the lens, grown, and sharp.
     fn seen(splats: Splats, lens: &Lens) -> [[f64; 5]; 3] {
-        let mut capture = Capture::still(1, 1, (&Device::flex().autodiff(), DType::F64));
-        capture.aperture = lens.aperture.clone();
-        capture.focus = lens.focus.clone();
-        let view = ahead();
-        let exposure = Exposure {
-            poses: capture.poses(0, &view.cam_from_world, &samples(256, 0.0), SIZE),
-            movers: None,
-            transfer: Transfer::Linear,
-        };
-        let points = expose(splats.clone(), &view, exposure, None).expect("a picture");
+        let view = ahead(SIDE);
+        let points = through_points(splats.clone(), &view, lens, Transfer::Linear);
         let render = |splats| {
             let rendered = render(splats, &view, Extra::default()).expect("a render");
             moments(rendered.color())
@@ -238,7 +200,7 @@ mod tests {
     #[test]
     fn gradients_agree_with_central_differences() {
         let loss = |splats: &Splats, lens: &Lens| {
-            let grown = grown(splats.clone(), &ahead(), lens);
+            let grown = grown(splats.clone(), &ahead(SIDE), lens);
             let weights = tensor(&[0.7, -1.1, 0.4, 0.9, 1.3, -0.6], [2, 3]);
             let logits = grown.opacity_logits * tensor(&[1.2, -0.8], [2, 1]);
             (grown.log_scales * weights).sum() + logits.sum()
@@ -304,7 +266,7 @@ mod tests {
         ];
         for (depth, log_scale, logit) in extremes {
             let splats = one(depth, [0.0; 4], [log_scale; 3], logit);
-            let splats = grown(splats, &ahead(), &lens(0.05, 1.0));
+            let splats = grown(splats, &ahead(SIDE), &lens(0.05, 1.0));
             let all = [values(splats.log_scales), values(splats.opacity_logits)].concat();
             assert!(all.iter().all(|v| v.is_finite()), "{depth}: {all:?}");
         }

@@ -151,23 +151,11 @@ impl Curve {
 
 #[cfg(test)]
 mod tests {
+    use super::super::lens::examples::{FOCAL, ahead, lens, tensor, through_points, values};
     use super::*;
-    use burn::tensor::{DType, Device};
-    use capture::{Capture, samples};
-    use splat_core::{Camera, Exposure, Extra, Splats, Transfer, Viewpoint, expose, render};
+    use splat_core::{Extra, Splats, Transfer, render};
 
-    const SIZE: f64 = 4.0;
     const SIDE: usize = 48;
-    const FOCAL: f64 = 60.0;
-
-    fn tensor<const D: usize>(values: Vec<f64>, shape: [usize; D]) -> Tensor<D> {
-        let data = TensorData::new(values, shape);
-        Tensor::from_data(data, (&Device::flex().autodiff(), DType::F64))
-    }
-
-    fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-        read(tensor.detach()).iter::<f64>().collect()
-    }
 
     /// A wall of a pattern at a depth, larger than the picture.
     fn wall(depth: f64, pattern: impl Fn(usize, usize) -> f64) -> Splats {
@@ -178,36 +166,21 @@ mod tests {
         let n = side * side;
         Splats {
             means: tensor(
-                cells().flat_map(|(x, y)| [at(x), at(y), depth]).collect(),
+                &cells()
+                    .flat_map(|(x, y)| [at(x), at(y), depth])
+                    .collect::<Vec<_>>(),
                 [n, 3],
             ),
-            quats: tensor([1.0, 0.0, 0.0, 0.0].repeat(n), [n, 4]),
+            quats: tensor(&[1.0, 0.0, 0.0, 0.0].repeat(n), [n, 4]),
             left_rotations: None,
-            log_scales: tensor(vec![(0.8 * step).ln(); 3 * n], [n, 3]),
-            opacity_logits: tensor(vec![4.0; n], [n, 1]),
+            log_scales: tensor(&vec![(0.8 * step).ln(); 3 * n], [n, 3]),
+            opacity_logits: tensor(&vec![4.0; n], [n, 1]),
             sh: tensor(
-                cells().flat_map(|(x, y)| [pattern(x, y); 3]).collect(),
+                &cells()
+                    .flat_map(|(x, y)| [pattern(x, y); 3])
+                    .collect::<Vec<_>>(),
                 [n, 3],
             ),
-        }
-    }
-
-    fn view() -> Viewpoint {
-        Viewpoint {
-            camera: Camera::pinhole([SIDE; 2], [FOCAL; 2], [SIDE as f64 / 2.0; 2]),
-            cam_from_world: tensor(
-                vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0],
-                [3, 4],
-            ),
-            sh_degree: 0,
-        }
-    }
-
-    fn lens(aperture: f64, focus: f64) -> Lens {
-        Lens {
-            aperture: tensor(vec![aperture], [1, 1]),
-            focus: tensor(vec![focus], [1, 1]),
-            size: SIZE,
         }
     }
 
@@ -222,7 +195,8 @@ mod tests {
 
     #[test]
     fn through_a_closed_lens_the_picture_is_the_sharp_one() {
-        let rendered = render(wall(3.0, stripes), &view(), Extra::default()).expect("a render");
+        let rendered =
+            render(wall(3.0, stripes), &ahead(SIDE), Extra::default()).expect("a render");
         for transfer in [
             TransferKind::Linear,
             TransferKind::Srgb,
@@ -239,15 +213,8 @@ mod tests {
     fn a_wall_out_of_focus_is_what_many_points_of_the_lens_see() {
         for (depth, left) in [(1.0 / 0.366_667, 0.15), (2.5, 0.3), (3.1, 0.6)] {
             let (splats, lens) = (wall(depth, stripes), lens(0.07, 1.0));
-            let mut capture = Capture::still(1, 1, (&Device::flex().autodiff(), DType::F64));
-            capture.aperture = lens.aperture.clone();
-            let exposure = Exposure {
-                poses: capture.poses(0, &view().cam_from_world, &samples(256, 0.0), SIZE),
-                movers: None,
-                transfer: Transfer::Srgb,
-            };
-            let taken = expose(splats.clone(), &view(), exposure, None).expect("a picture");
-            let rendered = render(splats, &view(), Extra::default()).expect("a render");
+            let taken = through_points(splats.clone(), &ahead(SIDE), &lens, Transfer::Srgb);
+            let rendered = render(splats, &ahead(SIDE), Extra::default()).expect("a render");
             let seen = layered(&rendered, &lens, FOCAL, [2.0, 6.0], TransferKind::Srgb);
             // Without the border, beyond which the wall goes on.
             let inside = |picture: Tensor<3>| values(picture.narrow(0, 6, 36).narrow(1, 6, 36));
@@ -270,7 +237,7 @@ mod tests {
             let side = 41;
             let mut point = vec![0.0; side * side];
             point[side * side / 2] = 1.0;
-            let spread = blurred(tensor(point, [side, side, 1]), tensor(vec![radius], [1, 1]));
+            let spread = blurred(tensor(&point, [side, side, 1]), tensor(&[radius], [1, 1]));
             let away = |i: usize| (i % side) as f64 - (side / 2) as f64;
             let each = values(spread).into_iter().enumerate();
             let [light, variance] = each.fold([0.0; 2], |[light, variance], (i, v)| {
@@ -288,7 +255,7 @@ mod tests {
     #[test]
     fn the_apertures_gradient_is_that_of_differences() {
         let splats = wall(2.5, stripes);
-        let rendered = render(splats, &view(), Extra::default()).expect("a render");
+        let rendered = render(splats, &ahead(SIDE), Extra::default()).expect("a render");
         let loss = |lens: &Lens| {
             let seen = layered(&rendered, lens, FOCAL, [2.0, 6.0], TransferKind::Srgb);
             seen.square().mean()
