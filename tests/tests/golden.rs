@@ -1,7 +1,8 @@
 //! A picture of the demo after a fixed number of iterations, against the one that was kept.
 //!
 //! `cargo xtask bless` trains it again and keeps it. Bits differ between processors, so that the pictures may differ by
-//! [`CLOSE`]; what is broken differs by far more.
+//! [`CLOSE`]; what is broken differs by far more. A rate that is off by a millionth differs by 52 dB or more, but by 31 to 39 dB where
+//! density control chooses what to clone and to split: that is left out.
 
 use io::{LoadOptions, Scene};
 use std::path::Path;
@@ -24,6 +25,8 @@ fn the_demo_looks_as_it_did() {
         ..Settings::default()
     };
     settings.motion.first_fit_steps = 100;
+    settings.motion.densify = false;
+    settings.gaussians.control_until = 0;
     let mut trainer = Trainer::new(scene, settings, &Device::flex()).expect("a trainer");
     for _ in 0..120 {
         trainer.step().expect("a step");
