@@ -97,15 +97,15 @@ mod tests {
     fn one(depth: f64, quat: [f64; 4], log_scales: [f64; 3], logit: f64) -> Splats {
         let (sin, cos) = 0.6_f64.sin_cos();
         Splats {
-            means: tensor(&[0.0, 0.0, depth], [1, 3]),
-            quats: tensor(&quat, [1, 4]),
+            means: tensor([0.0, 0.0, depth], [1, 3]),
+            quats: tensor(quat, [1, 4]),
             left_rotations: Some(tensor(
-                &[cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos],
+                [cos, 0.0, sin, 0.0, 1.0, 0.0, -sin, 0.0, cos],
                 [1, 3, 3],
             )),
-            log_scales: tensor(&log_scales, [1, 3]),
-            opacity_logits: tensor(&[logit], [1, 1]),
-            sh: tensor(&[1.5; 3], [1, 3]),
+            log_scales: tensor(log_scales, [1, 3]),
+            opacity_logits: tensor([logit], [1, 1]),
+            sh: tensor([1.5; 3], [1, 3]),
         }
     }
 
@@ -185,15 +185,15 @@ mod tests {
     fn two() -> Splats {
         let (sin, cos) = 0.4_f64.sin_cos();
         Splats {
-            means: tensor(&[0.3, -0.2, 2.5, -0.6, 0.4, 5.0], [2, 3]),
-            quats: tensor(&[0.8, 0.3, -0.5, 0.4, 1.1, -0.2, 0.3, 0.6], [2, 4]),
+            means: tensor([0.3, -0.2, 2.5, -0.6, 0.4, 5.0], [2, 3]),
+            quats: tensor([0.8, 0.3, -0.5, 0.4, 1.1, -0.2, 0.3, 0.6], [2, 4]),
             left_rotations: Some(tensor(
-                &[cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0],
+                [cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0],
                 [1, 3, 3],
             )),
-            log_scales: tensor(&[-2.2, -3.4, -4.0, -3.0, -2.5, -3.5], [2, 3]),
-            opacity_logits: tensor(&[0.7, -1.2], [2, 1]),
-            sh: tensor(&[1.5; 6], [2, 3]),
+            log_scales: tensor([-2.2, -3.4, -4.0, -3.0, -2.5, -3.5], [2, 3]),
+            opacity_logits: tensor([0.7, -1.2], [2, 1]),
+            sh: tensor([1.5; 6], [2, 3]),
         }
     }
 
@@ -201,8 +201,8 @@ mod tests {
     fn gradients_agree_with_central_differences() {
         let loss = |splats: &Splats, lens: &Lens| {
             let grown = grown(splats.clone(), &ahead(SIDE), lens);
-            let weights = tensor(&[0.7, -1.1, 0.4, 0.9, 1.3, -0.6], [2, 3]);
-            let logits = grown.opacity_logits * tensor(&[1.2, -0.8], [2, 1]);
+            let weights = tensor([0.7, -1.1, 0.4, 0.9, 1.3, -0.6], [2, 3]);
+            let logits = grown.opacity_logits * tensor([1.2, -0.8], [2, 1]);
             (grown.log_scales * weights).sum() + logits.sum()
         };
         type Field = fn(&mut Splats, &mut Lens) -> Tensor<2>;
@@ -241,7 +241,7 @@ mod tests {
                     let mut numbers = start.clone();
                     numbers[k] += delta;
                     let (mut splats, mut at) = (two(), lens(0.08, 1.3));
-                    put(&mut splats, &mut at, tensor(&numbers, shape));
+                    put(&mut splats, &mut at, tensor(numbers, shape));
                     values(loss(&splats, &at))[0]
                 };
                 let numeric = (value(1e-6) - value(-1e-6)) / 2e-6;

@@ -165,22 +165,12 @@ mod tests {
         let cells = || (0..side).flat_map(|y| (0..side).map(move |x| (x, y)));
         let n = side * side;
         Splats {
-            means: tensor(
-                &cells()
-                    .flat_map(|(x, y)| [at(x), at(y), depth])
-                    .collect::<Vec<_>>(),
-                [n, 3],
-            ),
-            quats: tensor(&[1.0, 0.0, 0.0, 0.0].repeat(n), [n, 4]),
+            means: tensor(cells().flat_map(|(x, y)| [at(x), at(y), depth]), [n, 3]),
+            quats: tensor([1.0, 0.0, 0.0, 0.0].repeat(n), [n, 4]),
             left_rotations: None,
-            log_scales: tensor(&vec![(0.8 * step).ln(); 3 * n], [n, 3]),
-            opacity_logits: tensor(&vec![4.0; n], [n, 1]),
-            sh: tensor(
-                &cells()
-                    .flat_map(|(x, y)| [pattern(x, y); 3])
-                    .collect::<Vec<_>>(),
-                [n, 3],
-            ),
+            log_scales: tensor(vec![(0.8 * step).ln(); 3 * n], [n, 3]),
+            opacity_logits: tensor(vec![4.0; n], [n, 1]),
+            sh: tensor(cells().flat_map(|(x, y)| [pattern(x, y); 3]), [n, 3]),
         }
     }
 
@@ -237,7 +227,7 @@ mod tests {
             let side = 41;
             let mut point = vec![0.0; side * side];
             point[side * side / 2] = 1.0;
-            let spread = blurred(tensor(&point, [side, side, 1]), tensor(&[radius], [1, 1]));
+            let spread = blurred(tensor(point, [side, side, 1]), tensor([radius], [1, 1]));
             let away = |i: usize| (i % side) as f64 - (side / 2) as f64;
             let each = values(spread).into_iter().enumerate();
             let [light, variance] = each.fold([0.0; 2], |[light, variance], (i, v)| {

@@ -29,8 +29,10 @@ impl Lens {
 #[cfg(test)]
 pub(super) mod examples {
     use super::{Lens, Tensor};
+    use crate::views::pose_tensor;
     use burn::tensor::{DType, Device, TensorData};
     use capture::{Capture, samples};
+    use glam::DAffine3;
     use splat_core::{Camera, Exposed, Exposure, Splats, Transfer, Viewpoint, expose};
 
     /// Scene size, scene units.
@@ -39,10 +41,10 @@ pub(super) mod examples {
     pub(in crate::blur::camera) const FOCAL: f64 = 60.0;
 
     pub(in crate::blur::camera) fn tensor<const D: usize>(
-        values: &[f64],
+        values: impl IntoIterator<Item = f64>,
         shape: [usize; D],
     ) -> Tensor<D> {
-        let data = TensorData::new(values.to_vec(), shape);
+        let data = TensorData::new(values.into_iter().collect(), shape);
         Tensor::from_data(data, (&Device::flex().autodiff(), DType::F64))
     }
 
@@ -54,9 +56,9 @@ pub(super) mod examples {
     pub(in crate::blur::camera) fn ahead(side: usize) -> Viewpoint {
         Viewpoint {
             camera: Camera::pinhole([side; 2], [FOCAL; 2], [side as f64 / 2.0; 2]),
-            cam_from_world: tensor(
-                &[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0],
-                [3, 4],
+            cam_from_world: pose_tensor(
+                &DAffine3::IDENTITY,
+                (&Device::flex().autodiff(), DType::F64),
             ),
             sh_degree: 0,
         }
@@ -64,8 +66,8 @@ pub(super) mod examples {
 
     pub(in crate::blur::camera) fn lens(aperture: f64, focus: f64) -> Lens {
         Lens {
-            aperture: tensor(&[aperture], [1, 1]),
-            focus: tensor(&[focus], [1, 1]),
+            aperture: tensor([aperture], [1, 1]),
+            focus: tensor([focus], [1, 1]),
             size: SIZE,
         }
     }
