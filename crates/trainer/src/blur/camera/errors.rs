@@ -1,7 +1,7 @@
 //! Errors: how far what the camera would have seen is from the frames, by which trials judge.
 
 use super::CameraBlur;
-use super::softness::{SOFTNESS, softened};
+use super::softness::{SOFTNESS, softened, softened_along};
 use crate::TrainError;
 use crate::look::{Look, render_posed};
 use crate::tensors::host;
@@ -9,33 +9,46 @@ use crate::views::ViewRef;
 use crate::world::World;
 use burn::tensor::Tensor;
 
+/// Errors of the frames, and those of all together where softness makes up for what is too sharp.
+pub(super) struct Softened {
+    pub(super) errors: Vec<f64>,
+    /// With the scene as soft as explains them best.
+    pub(super) softer_scene: f64,
+    /// With each frame by itself as soft as explains it best, along its rows by as much as it takes and along its columns.
+    pub(super) softer_frames: f64,
+}
+
 impl CameraBlur {
     /// The error of every frame.
     pub(super) fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
         looks.iter().map(|look| self.error(world, look)).collect()
     }
 
-    /// The error of every frame, and that of all together with the scene as soft as explains them best.
+    /// The error of every frame, and of all together where softness makes up for what is too sharp.
     pub(super) fn softened_errors(
         &self,
         world: &World,
         looks: &[Look<'_>],
-    ) -> Result<(Vec<f64>, f64), TrainError> {
-        let mut errors = Vec::new();
-        let mut softened_totals = [0.0; SOFTNESS.len()];
+    ) -> Result<Softened, TrainError> {
+        let (mut errors, mut by_frame) = (Vec::new(), 0.0);
+        let mut by_variance = [0.0; SOFTNESS.len()];
         for look in looks {
             let mut error = 0.0;
             if let Some(view) = look.view {
                 let seen = self.seen(world, look, view)?;
-                for (total, variance) in softened_totals.iter_mut().zip(SOFTNESS) {
+                for (total, variance) in by_variance.iter_mut().zip(SOFTNESS) {
                     *total += squared_error(softened(&seen, variance), view);
                 }
-                error = squared_error(seen, view);
+                error = squared_error(seen.clone(), view);
+                by_frame += softened_error(seen, error, view);
             }
             errors.push(error);
         }
-        let least = softened_totals.into_iter().fold(total(&errors), f64::min);
-        Ok((errors, least))
+        Ok(Softened {
+            softer_scene: by_variance.into_iter().fold(total(&errors), f64::min),
+            softer_frames: by_frame,
+            errors,
+        })
     }
 
     /// Mean squared difference between what the camera would have seen and the frame.
@@ -66,6 +79,22 @@ impl CameraBlur {
         };
         Ok(look.gained(seen))
     }
+}
+
+/// The least error of a frame that is made softer along its columns, and then along its rows; `error` is that of what was seen.
+fn softened_error(seen: Tensor<3>, error: f64, view: &ViewRef<'_>) -> f64 {
+    let mut best = (error, seen);
+    for dim in [0, 1] {
+        let seen = best.1.clone();
+        for variance in SOFTNESS {
+            let softer = softened_along(dim, &seen, variance);
+            let error = squared_error(softer.clone(), view);
+            if error < best.0 {
+                best = (error, softer);
+            }
+        }
+    }
+    best.0
 }
 
 fn squared_error(seen: Tensor<3>, view: &ViewRef<'_>) -> f64 {

@@ -10,24 +10,23 @@ use crate::world::World;
 use burn::tensor::Tensor;
 use std::fmt;
 
-/// A part, or another aperture, pays if without it the error of all frames is larger by more than this share.
+/// Paths, or another aperture, pay if without them the error of all frames is larger by more than this share.
 /// Gaussians have sharpened under what they were trained with, so that leaving it out costs something even where it was not
-/// there. (RESULTS.md, "A lens that is not there", has what was seen.)
-const PART_PAYS: f64 = 0.05;
+/// there. (RESULTS.md, "What a trial sees", has what was seen.)
+const PATHS_PAY: f64 = 0.05;
+/// The same of a lens. Less, since without it frames may be softer, each by itself, so that it is worth only what blurs things at
+/// one depth more than those at another. (RESULTS.md, "A lens that is not there", has what was seen.)
+const LENS_PAYS: f64 = 0.04;
 /// Beside a lens that stays, paths pay if they are worth more than this: they can take a share of what it blurs, which no softness
 /// explains either. (RESULTS.md, "What a trial sees".)
 const PATHS_PAY_BESIDE_LENS: f64 = 0.12;
 /// A lens that does not pay stays if without it the error is larger by more than this share than with the focus that explains each
-/// frame best, and pays beyond a softer scene with it: in a short run focus has not come far by itself. So much more, since many
+/// frame best, and pays beyond softer frames with it: in a short run focus has not come far by itself. So much more, since many
 /// distances are tried on the very frames that are to be explained. (RESULTS.md, "Focus that is tried out" and "A lens that is not
 /// there", has what was seen.)
 const FOCUSED_LENS_PAYS: f64 = 0.13;
 /// How many distances of focus are tried on a frame.
 const FOCUSES: usize = 5;
-
-fn pays(worth: f64) -> bool {
-    worth > PART_PAYS
-}
 
 /// By what share the error of all frames grows without the lens, and without the paths.
 #[derive(Clone, Copy, Debug)]
@@ -39,7 +38,8 @@ pub(crate) struct Worth {
 impl Worth {
     /// Whether the trial left out both, so that nothing explains blur any more.
     pub(crate) fn leaves_nothing(&self) -> bool {
-        !pays(self.lens) && !pays(self.paths)
+        let pays = self.lens > LENS_PAYS || self.paths > PATHS_PAY;
+        !pays
     }
 }
 
@@ -69,7 +69,7 @@ impl CameraBlur {
     }
 
     /// Leaves the lens out if it does not pay, also with each frame in better focus; takes the frames' errors as it is, and returns
-    /// them with what stays, and what share of the error the lens is worth: beyond a softer scene, or where focus saved it, by itself.
+    /// them with what stays, and what share of the error the lens is worth: beyond softer frames, or where focus saved it, by itself.
     fn try_without_lens(
         &mut self,
         world: &World,
@@ -82,21 +82,23 @@ impl CameraBlur {
         }
         let mut without = self.clone();
         without.capture.aperture = self.capture.aperture.zeros_like();
-        let (left, softened) = without.softened_errors(world, looks)?;
-        let worth = share_more(softened, &now);
-        if pays(worth) && !refocuses {
+        let left = without.softened_errors(world, looks)?;
+        let worth = share_more(left.softer_frames, &now);
+        let pays = worth > LENS_PAYS;
+        if pays && !refocuses {
             return Ok((now, worth));
         }
         let focused = self.try_focuses(world, looks, &now)?;
-        if pays(worth) {
+        if pays {
             return Ok((focused, worth));
         }
-        let focused_worth = share_more(total(&left), &focused);
-        if pays(share_more(softened, &focused)) && focused_worth > FOCUSED_LENS_PAYS {
+        let focused_worth = share_more(total(&left.errors), &focused);
+        if share_more(left.softer_frames, &focused) > LENS_PAYS && focused_worth > FOCUSED_LENS_PAYS
+        {
             return Ok((focused, focused_worth));
         }
         *self = without;
-        Ok((left, worth))
+        Ok((left.errors, worth))
     }
 
     /// The same of all paths. They are worth what they explain beyond a camera without them that drifts as they do, and a softer
@@ -117,12 +119,12 @@ impl CameraBlur {
         let drifted =
             drifted.map(|(i, look)| look.moved(drift.clone().narrow(0, i, 1), self.scene_size));
         let drifted: Vec<_> = drifted.collect();
-        let (_, softened) = without.softened_errors(world, &drifted)?;
-        let worth = share_more(softened, &now);
+        let left = without.softened_errors(world, &drifted)?;
+        let worth = share_more(left.softer_scene, &now);
         let limit = if is_there(&self.capture.aperture) {
             PATHS_PAY_BESIDE_LENS
         } else {
-            PART_PAYS
+            PATHS_PAY
         };
         if worth > limit {
             return Ok((now, worth));
@@ -169,7 +171,7 @@ impl CameraBlur {
             return Ok(now);
         }
         let own = self.capture.aperture.clone();
-        let (mut least, mut best) = (total(&now) / (1.0 + PART_PAYS), (now, 1.0));
+        let (mut least, mut best) = (total(&now) / (1.0 + PATHS_PAY), (now, 1.0));
         for times in [0.5, 0.7, 1.4, 2.0] {
             self.capture.aperture = own.clone() * times;
             let errors = self.errors(world, looks)?;

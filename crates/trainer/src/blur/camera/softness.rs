@@ -1,5 +1,6 @@
 //! Softness: a blur that every pixel of every frame shares is the scene's own. Gaussians that have sharpened under a lens leave
-//! frames too sharp without it, also where the lens was not there; softer ones would not (RESULTS.md, "A lens that is not there").
+//! frames too sharp without it, also where the lens was not there; softer ones would not. One that every pixel of a frame shares may
+//! be the rest of its path, and is no lens either (RESULTS.md, "A lens that is not there").
 
 use burn::tensor::Tensor;
 
@@ -9,16 +10,19 @@ pub(super) const SOFTNESS: [f64; 5] = [0.03, 0.06, 0.125, 0.25, 0.5];
 /// A picture [H, W, C] blurred everywhere alike: each pixel with its neighbours, along rows and columns by `variance` (px², at most
 /// 0.5, where the weights are 1, 2, 1). Outside the picture it goes on as its border.
 pub(super) fn softened(picture: &Tensor<3>, variance: f64) -> Tensor<3> {
-    [0, 1].into_iter().fold(picture.clone(), |picture, along| {
-        let n = picture.dims()[along];
-        if n == 1 {
-            return picture;
-        }
-        let rows = |start, length| picture.clone().narrow(along, start, length);
-        let before = Tensor::cat(vec![rows(0, 1), rows(0, n - 1)], along);
-        let after = Tensor::cat(vec![rows(1, n - 1), rows(n - 1, 1)], along);
-        picture.clone() * (1.0 - variance) + (before + after) * (0.5 * variance)
-    })
+    softened_along(0, &softened_along(1, picture, variance), variance)
+}
+
+/// The same along columns (`dim` 0) or rows (1) alone.
+pub(super) fn softened_along(dim: usize, picture: &Tensor<3>, variance: f64) -> Tensor<3> {
+    let n = picture.dims()[dim];
+    if n == 1 {
+        return picture.clone();
+    }
+    let part = |start, length| picture.clone().narrow(dim, start, length);
+    let before = Tensor::cat(vec![part(0, 1), part(0, n - 1)], dim);
+    let after = Tensor::cat(vec![part(1, n - 1), part(n - 1, 1)], dim);
+    picture.clone() * (1.0 - variance) + (before + after) * (0.5 * variance)
 }
 
 #[cfg(test)]
