@@ -106,17 +106,24 @@ fn centered(values: &[[f64; 2]]) -> Vec<f64> {
 }
 
 /// How far the frames' cameras stand aside, in their own axes.
-fn aside() -> Vec<f64> {
+fn aside() -> Vec<[f64; 2]> {
     let places = (0..FRAMES).map(|k| pose(k as f64).transform_point3(DVec3::ZERO));
-    centered(&places.map(|place| [place.x, place.y]).collect::<Vec<_>>())
+    places.map(|place| [place.x, place.y]).collect()
 }
 
-/// Root mean square over the frames without what the scene can take up: what all have in common, and what grows with how far
-/// a frame's camera stands aside.
+/// Shifts of frames that stand so far aside without what the scene can take up: what all have in common, and what grows with how
+/// far a frame's camera stands aside.
+fn own(shifts: &[[f64; 2]], aside: &[[f64; 2]]) -> Vec<f64> {
+    let (shifts, aside) = (centered(shifts), centered(aside));
+    let trend = dot(&shifts, &aside) / dot(&aside, &aside);
+    let each = shifts.iter().zip(&aside);
+    each.map(|(shift, aside)| shift - trend * aside).collect()
+}
+
+/// Root mean square over the frames of what is their own.
 fn spread(offs: &[[f64; 2]]) -> f64 {
-    let (offs, aside) = (centered(offs), aside());
-    let rest = dot(&offs, &offs) - dot(&offs, &aside).powi(2) / dot(&aside, &aside);
-    (rest / FRAMES as f64).sqrt()
+    let own = own(offs, &aside());
+    (dot(&own, &own) / FRAMES as f64).sqrt()
 }
 
 #[test]
@@ -135,25 +142,55 @@ fn what_the_scene_can_take_up_is_left_to_it() {
     };
     let mut capture = Capture::still(FRAMES, 2, (&Device::flex().autodiff(), DType::F32));
     capture.paths = table("camera.paths");
-    for (what, shifts) in [
-        ("paths", capture.mean_shifts()),
-        ("offsets", shift_in_image(table("frames.offsets"))),
-    ] {
-        let shifts: Vec<[f64; 2]> = limpid_tests::values(shifts)
-            .chunks_exact(2)
-            .map(|shift| [shift[0], shift[1]])
-            .collect();
-        assert!(spread(&shifts) > 1e-5, "{what} have learned: {shifts:?}");
-        let all = shifts.concat();
-        let sums = [0, 1].map(|axis| shifts.iter().map(|shift| shift[axis]).sum::<f64>());
-        let trend = dot(&all, &aside());
-        let limit = 1e-6 * dot(&all, &all).sqrt();
-        assert!(
-            sums.into_iter().all(|sum| sum.abs() < limit),
-            "{what}: {sums:?}"
-        );
-        assert!(trend.abs() < limit, "{what}: {trend}");
-    }
+    let of = |shifts| -> Vec<[f64; 2]> {
+        let shifts = limpid_tests::values(shifts);
+        shifts.chunks_exact(2).map(|s| [s[0], s[1]]).collect()
+    };
+    let offsets = of(shift_in_image(table("frames.offsets")));
+    assert!(spread(&offsets) > 1e-5, "offsets have learned: {offsets:?}");
+    assert_all_own("offsets", &offsets, &aside());
+
+    // The paths have what the poses foretell of it, of all but the first and the last frame.
+    let means = of(capture.mean_shifts());
+    assert!(spread(&means) > 1e-5, "paths have learned: {means:?}");
+    let (means, aside) = (&means[1..FRAMES - 1], &aside()[1..FRAMES - 1]);
+    let foretold = foretold(trainer.survey().scene_size);
+    let told = own(&foretold, aside);
+    let factor = (dot(&told, &own(means, aside)) / dot(&told, &told)).max(0.0);
+    let each = means.iter().zip(&foretold);
+    let missed: Vec<_> = each
+        .map(|(mean, told)| [0, 1].map(|axis| mean[axis] - factor * told[axis]))
+        .collect();
+    assert_all_own("paths", &missed, aside);
+}
+
+/// The frames' shifts have nothing that the scene can take up.
+fn assert_all_own(what: &str, shifts: &[[f64; 2]], aside: &[[f64; 2]]) {
+    let all = shifts.concat();
+    let limit = 1e-6 * dot(&all, &all).sqrt();
+    let sums = [0, 1].map(|axis| shifts.iter().map(|shift| shift[axis]).sum::<f64>());
+    assert!(
+        sums.into_iter().all(|sum| sum.abs() < limit),
+        "{what}: {sums:?} of {limit}"
+    );
+    let trend = dot(&all, &centered(aside));
+    assert!(trend.abs() < limit, "{what}: {trend} of {limit}");
+}
+
+/// By how far the poses before and after a frame say that its camera is accelerated, in the image at the depth `size`: of all frames
+/// but the first and the last.
+fn foretold(size: f64) -> Vec<[f64; 2]> {
+    let second = |k: usize| {
+        let step = |other: f64| {
+            let moved = pose(other) * pose(k as f64).inverse();
+            let turn = DQuat::from_mat3(&moved.matrix3).to_scaled_axis();
+            let shift = moved.translation / size;
+            [turn.y + shift.x, shift.y - turn.x]
+        };
+        let (back, ahead) = (step(k as f64 - 1.0), step(k as f64 + 1.0));
+        [back[0] + ahead[0], back[1] + ahead[1]]
+    };
+    (1..FRAMES - 1).map(second).collect()
 }
 
 #[test]

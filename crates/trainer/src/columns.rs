@@ -6,6 +6,7 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 #[derive(Clone, Debug)]
 pub(crate) struct Columns {
     columns: Tensor<2>,
+    /// Without the rows that do not tell.
     transposed: Tensor<2>,
 }
 
@@ -14,8 +15,25 @@ const LEAST: f64 = 1e-12;
 
 impl Columns {
     /// An orthonormal basis of what columns span, one or more of a length, in the place of each one; 0 where it adds nothing.
-    pub(crate) fn spanning(columns: Vec<Vec<f64>>, (device, dtype): (&Device, DType)) -> Self {
-        let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+    pub(crate) fn spanning(columns: Vec<Vec<f64>>, options: (&Device, DType)) -> Self {
+        let all = vec![true; columns[0].len()];
+        Self::told_by(&all, columns, options)
+    }
+
+    /// The same, but that only these rows tell what of values the columns span; the others follow.
+    pub(crate) fn told_by(
+        rows: &[bool],
+        columns: Vec<Vec<f64>>,
+        (device, dtype): (&Device, DType),
+    ) -> Self {
+        let of_rows = |column: &[f64]| -> Vec<f64> {
+            let values = column.iter().zip(rows);
+            values
+                .map(|(v, told)| if *told { *v } else { 0.0 })
+                .collect()
+        };
+        let dot =
+            |a: &[f64], b: &[f64]| -> f64 { of_rows(a).iter().zip(b).map(|(a, b)| a * b).sum() };
         let mut basis: Vec<Vec<f64>> = Vec::new();
         for mut column in columns {
             let whole = dot(&column, &column);
@@ -36,11 +54,12 @@ impl Columns {
             basis.push(column);
         }
         let shape = [basis.len(), basis[0].len()];
-        let transposed = TensorData::new(basis.concat(), shape);
+        let told = basis.iter().flat_map(|column| of_rows(column));
+        let transposed = TensorData::new(told.collect::<Vec<f64>>(), shape);
         let transposed = Tensor::<2>::from_data(transposed, (device, dtype)).inner();
-        let [count, rows] = shape;
-        let columns = (0..rows).flat_map(|row| basis.iter().map(move |column| column[row]));
-        let columns = TensorData::new(columns.collect::<Vec<f64>>(), [rows, count]);
+        let [count, height] = shape;
+        let columns = (0..height).flat_map(|row| basis.iter().map(move |column| column[row]));
+        let columns = TensorData::new(columns.collect::<Vec<f64>>(), [height, count]);
         Self {
             columns: Tensor::<2>::from_data(columns, (device, dtype)).inner(),
             transposed,

@@ -18,8 +18,7 @@ pub struct Corrections {
     /// Offsets from the given poses, [N, 6], in the camera's axes: rotation vectors (rad) and translations (S); `None` where
     /// the given poses hold.
     offsets: Option<Tensor<2>>,
-    /// What of their shifts is the scene's.
-    /// What the frames' shifts have in common.
+    /// What the frames' shifts have in common: that is the scene's.
     shared: Option<Shared>,
     /// Logarithms of the gains of the pictures' values, [N, 1]; `None` where frames are equally bright.
     gains: Option<Tensor<2>>,
@@ -47,13 +46,14 @@ impl Corrections {
         options: (&Device, DType),
     ) -> Self {
         let num_frames = views.train.len();
+        let all = vec![true; num_frames];
         let zeros = |columns| Tensor::<2>::zeros([num_frames, columns], options).require_grad();
         let frames = &settings.frames;
         Self {
             offsets: frames.offsets.then(|| zeros(RIGID)),
             shared: frames
                 .offsets
-                .then(|| SceneShift::of(&views.train).among(&vec![true; num_frames], options)),
+                .then(|| SceneShift::of(&views.train).among(&all, &all, options)),
             gains: frames.gains.holds(survey.gains_differ).then(|| zeros(1)),
             shift_weight: settings.loss.offset_shift,
             scene_size: survey.scene_size,

@@ -38,8 +38,14 @@ impl SceneShift {
         }
     }
 
-    /// What frames have in common of which those count: others neither tell of it nor are told.
-    pub(crate) fn among(&self, counted: &[bool], options: (&Device, DType)) -> Shared {
+    /// What frames have in common of which those count: others neither tell of it nor are told. Of shifts only those among them that
+    /// `tell` do.
+    pub(crate) fn among(
+        &self,
+        counted: &[bool],
+        tell: &[bool],
+        options: (&Device, DType),
+    ) -> Shared {
         let of_counted = |value: &dyn Fn(&[f64; 2]) -> f64| -> Vec<f64> {
             let frames = self.places.iter().zip(counted);
             frames
@@ -60,8 +66,9 @@ impl SceneShift {
             interleaved(&none, &ones),
             interleaved(&right, &down),
         ];
+        let both: Vec<bool> = tell.iter().flat_map(|tells| [*tells; 2]).collect();
         Shared {
-            shifts: Columns::spanning(shifts.to_vec(), options),
+            shifts: Columns::told_by(&both, shifts.to_vec(), options),
             trends: Columns::spanning(vec![ones, right, down], options),
         }
     }
@@ -140,7 +147,7 @@ mod tests {
             [shift.x, shift.y]
         });
         let shifts = shifts.collect::<Vec<f64>>();
-        let shared = scene_shift.among(&[true; 9], options_of(&Device::flex()));
+        let shared = scene_shift.among(&[true; 9], &[true; 9], options_of(&Device::flex()));
         let common = values(shared.of_shifts(tensor(shifts.clone(), 2)));
         for (common, shift) in common.iter().zip(&shifts) {
             assert!((common - shift).abs() < 1e-12, "{common} {shift}");
@@ -162,8 +169,8 @@ mod tests {
         let mut counted = [true; 9];
         counted[4] = false;
         let device = Device::flex();
-        let some = scene_shift.among(&counted, options_of(&device));
-        let none = scene_shift.among(&[false; 9], options_of(&device));
+        let some = scene_shift.among(&counted, &counted, options_of(&device));
+        let none = scene_shift.among(&[false; 9], &[false; 9], options_of(&device));
         let common = |shifts: &[f64]| values(some.of_shifts(tensor(shifts.to_vec(), 2)));
         let trend = |shifts: &[f64]| values(some.of_any(tensor(shifts.to_vec(), 2)));
         let before = (common(&shifts), trend(&shifts));
@@ -178,6 +185,25 @@ mod tests {
     }
 
     #[test]
+    fn frames_that_do_not_tell_follow_the_others() {
+        let scene_shift = SceneShift::of(&views());
+        let device = Device::flex();
+        let options = options_of(&device);
+        let mut tell = [true; 9];
+        (tell[0], tell[8]) = (false, false);
+        let any: Vec<f64> = (0..18).map(|k| (0.7 * f64::from(k)).cos()).collect();
+        let all = scene_shift.among(&[true; 9], &[true; 9], options);
+        let common = values(all.of_shifts(tensor(any, 2)));
+        let mut shifts = common.clone();
+        (shifts[0], shifts[17]) = (100.0, -100.0);
+        let told = scene_shift.among(&[true; 9], &tell, options);
+        let found = values(told.of_shifts(tensor(shifts, 2)));
+        for (found, common) in found.iter().zip(&common) {
+            assert!((found - common).abs() < 1e-12, "{found} {common}");
+        }
+    }
+
+    #[test]
     fn cameras_in_a_row_or_in_one_place_have_fewer_columns_in_common() {
         let mut views = views();
         for view in &mut views {
@@ -187,7 +213,8 @@ mod tests {
         }
         let any: Vec<f64> = (0..18).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
         for _ in 0..2 {
-            let shared = SceneShift::of(&views).among(&[true; 9], options_of(&Device::flex()));
+            let shared =
+                SceneShift::of(&views).among(&[true; 9], &[true; 9], options_of(&Device::flex()));
             let once = shared.of_any(tensor(any.clone(), 2));
             let twice = values(shared.of_any(once.clone()));
             for (once, twice) in values(once).iter().zip(twice) {
@@ -203,7 +230,7 @@ mod tests {
     fn a_trend_is_all_that_goes_with_the_cameras_place_and_nothing_is_left_of_it() {
         let views = views();
         let scene_shift = SceneShift::of(&views);
-        let shared = scene_shift.among(&[true; 9], options_of(&Device::flex()));
+        let shared = scene_shift.among(&[true; 9], &[true; 9], options_of(&Device::flex()));
         let centers: Vec<DVec3> = views
             .iter()
             .map(|v| camera_center(&v.cam_from_world))

@@ -4,6 +4,7 @@
 mod account;
 mod drift;
 mod errors;
+mod foretold;
 mod grown;
 mod layers;
 mod lens;
@@ -27,6 +28,7 @@ use crate::views::{Views, pose_tensor, poses_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for, turns};
+use foretold::{Accelerations, Foretold};
 use glam::DAffine3;
 use grown::grown;
 use layers::layered;
@@ -48,9 +50,10 @@ const VISITS: usize = 5;
 pub struct CameraBlur {
     capture: Capture,
     scene_shift: SceneShift,
-    /// What the paths that are there have in common; made where it is needed, and anew behind a trial, which may put paths in
-    /// and out.
-    shared: Option<Shared>,
+    accelerations: Accelerations,
+    /// What the paths that are there have in common, and what is foretold of them; made where it is needed, and anew behind a trial,
+    /// which may put paths in and out.
+    shared: Option<(Shared, Foretold)>,
     settings: CameraSettings,
     moments: Moments,
     /// Focal length of each frame, px.
@@ -130,6 +133,7 @@ impl CameraBlur {
         let mut model = Self {
             capture,
             scene_shift: SceneShift::of(&views.train),
+            accelerations: Accelerations::of(&views.train, survey.scene_size),
             shared: None,
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
@@ -331,19 +335,23 @@ impl CameraBlur {
             ..self.capture.clone()
         };
         let options = (&held.paths.device(), held.paths.dtype());
-        let shared = self.shared.get_or_insert_with(|| {
+        let (shared, foretold) = self.shared.get_or_insert_with(|| {
             let paths = host(held.paths.clone());
             let width = held.paths.dims()[1];
             let moving = paths
                 .chunks_exact(width)
                 .map(|path| path.iter().any(|p| *p != 0.0));
-            self.scene_shift
-                .among(&moving.collect::<Vec<bool>>(), options)
+            let moving: Vec<bool> = moving.collect();
+            let told = self.accelerations.known(&moving);
+            let shared = self.scene_shift.among(&moving, &told, options);
+            let foretold = self.accelerations.foretold(&told, &shared, options);
+            (shared, foretold)
         });
         // Turns about x and y shift the image: those are held with the shifts, below.
         let others = Tensor::<2>::from_data([[0.0, 0.0, 1.0, 1.0, 1.0, 1.0]], options);
         held.bend(-shared.of_any(held.mean_motions()) * others);
-        held.bend(-turns(shared.of_shifts(held.mean_shifts())));
+        let missed = foretold.missed(held.mean_shifts());
+        held.bend(-turns(shared.of_shifts(missed)));
         self.capture.paths = leaf(held.paths, true);
     }
 

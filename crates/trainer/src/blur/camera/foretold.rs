@@ -1,0 +1,222 @@
+//! What the given poses foretell of the means of the paths: a hand that turns round while the shutter is open has turned round
+//! between the frames before and after, too. By how much more or less the paths themselves say.
+
+use crate::scene_shift::Shared;
+use crate::views::CameraView;
+use burn::tensor::{DType, Device, Tensor, TensorData};
+use capture::{RIGID, shift_in_image};
+use glam::{DAffine3, DQuat};
+
+/// Shifts whose squares come to less have nothing to say.
+const LEAST_SQUARE: f64 = 1e-20;
+
+/// The frames' accelerations, by the poses before and after: turns (rad) and translations (scene sizes) per frame².
+#[derive(Clone, Debug)]
+pub(super) struct Accelerations {
+    /// `None` where there is no frame before or none after.
+    frames: Vec<Option<[f64; RIGID]>>,
+}
+
+/// How far they shift the means of paths in the image, up to one factor for all.
+#[derive(Clone, Debug)]
+pub(super) struct Foretold {
+    /// Shifts per frame², [N, 2]; 0 where they are not known.
+    shifts: Tensor<2>,
+    /// What of the shifts no scene that lies elsewhere shows, over its square: the factor is the means' product with it.
+    measure: Tensor<2>,
+}
+
+impl Accelerations {
+    /// Of frames in the order of time.
+    pub(super) fn of(views: &[CameraView], size: f64) -> Self {
+        let frame = |i: usize| {
+            let [before, at, after] = [i.checked_sub(1)?, i, i + 1].map(|k| views.get(k));
+            let (before, at, after) = (before?, at?, after?);
+            let ahead = f64::from(after.time) - f64::from(at.time);
+            let back = f64::from(at.time) - f64::from(before.time);
+            if ahead.min(back) <= 0.0 {
+                return None;
+            }
+            let [to, from] = [after, before]
+                .map(|view| motion(&(view.cam_from_world * at.cam_from_world.inverse()), size));
+            let second = |k: usize| 2.0 * (to[k] / ahead + from[k] / back) / (ahead + back);
+            Some(std::array::from_fn(second))
+        };
+        Self {
+            frames: (0..views.len()).map(frame).collect(),
+        }
+    }
+
+    /// Of which of the frames that count something is foretold; of all of them where nothing is of any.
+    pub(super) fn known(&self, counted: &[bool]) -> Vec<bool> {
+        let frames = self.frames.iter().zip(counted);
+        let known: Vec<bool> = frames.map(|(a, counts)| *counts && a.is_some()).collect();
+        if known.contains(&true) {
+            known
+        } else {
+            counted.to_vec()
+        }
+    }
+
+    /// What is foretold of some frames, which are those that tell of what is `shared`.
+    pub(super) fn foretold(
+        &self,
+        told: &[bool],
+        shared: &Shared,
+        options: (&Device, DType),
+    ) -> Foretold {
+        let table = |values: Vec<f64>, columns: usize| {
+            Tensor::<2>::from_data(TensorData::new(values, [told.len(), columns]), options)
+        };
+        let rows = self.frames.iter().zip(told);
+        let rows = rows.flat_map(|(a, told)| a.filter(|_| *told).unwrap_or_default());
+        let shifts = shift_in_image(table(rows.collect(), RIGID));
+        let told = told.iter().flat_map(|told| [f64::from(u8::from(*told)); 2]);
+        let own = (shifts.clone() - shared.of_shifts(shifts.clone())) * table(told.collect(), 2);
+        let square = own.clone().square().sum().reshape([1, 1]);
+        Foretold {
+            shifts,
+            measure: own / square.clamp_min(LEAST_SQUARE),
+        }
+    }
+}
+
+impl Foretold {
+    /// By how far means [N, 2] are not as foretold, with the factor, not negative, that fits them best but for what the scene can show.
+    pub(super) fn missed(&self, means: Tensor<2>) -> Tensor<2> {
+        let factor = (self.measure.clone() * means.clone()).sum().clamp_min(0.0);
+        means - self.shifts.clone() * factor.reshape([1, 1])
+    }
+}
+
+/// A small rigid motion as a turn (rad) and a translation in units of `size`.
+fn motion(moved: &DAffine3, size: f64) -> [f64; RIGID] {
+    let turn = DQuat::from_mat3(&moved.matrix3).to_scaled_axis();
+    let shift = moved.translation / size;
+    [turn.x, turn.y, turn.z, shift.x, shift.y, shift.z]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene_shift::SceneShift;
+    use glam::DVec3;
+    use splat_core::Camera;
+
+    const TIMES: [f32; 9] = [0.0, 1.0, 2.0, 3.5, 4.0, 5.0, 6.0, 8.0, 9.0];
+
+    fn options_of(device: &Device) -> (&Device, DType) {
+        (device, DType::F64)
+    }
+
+    fn values(tensor: Tensor<2>) -> Vec<f64> {
+        tensor.try_into_vec_as::<f64>().expect("f64")
+    }
+
+    /// Cameras that stand and look as `of` a time says.
+    fn views(of: impl Fn(f64) -> (DVec3, DVec3)) -> Vec<CameraView> {
+        let view = |(k, time): (usize, f32)| {
+            let (turn, shift) = of(time.into());
+            CameraView {
+                name: k.to_string(),
+                camera: Camera::pinhole([64, 36], [50.0; 2], [32.0, 18.0]),
+                cam_from_world: DAffine3::from_rotation_translation(
+                    DQuat::from_scaled_axis(turn),
+                    shift,
+                ),
+                time,
+            }
+        };
+        TIMES.into_iter().enumerate().map(view).collect()
+    }
+
+    #[test]
+    fn a_camera_that_is_accelerated_evenly_is_so_in_all_frames_but_the_first_and_the_last() {
+        let (turn, shift) = (DVec3::new(2e-4, -1e-4, 3e-4), DVec3::new(0.02, -0.01, 0.03));
+        let speed = 1e-3;
+        let evenly = |t: f64| (0.5 * t * t * turn, 0.5 * t * t * shift + speed * t);
+        let found = Accelerations::of(&views(evenly), 2.0).frames;
+        assert!(found[0].is_none() && found[8].is_none());
+        for frame in &found[1..8] {
+            let frame = frame.expect("frames on both sides");
+            let expected = [
+                turn.x,
+                turn.y,
+                turn.z,
+                shift.x / 2.0,
+                shift.y / 2.0,
+                shift.z / 2.0,
+            ];
+            for (found, expected) in frame.iter().zip(expected) {
+                // Turns of a few hundredths do not quite add up.
+                assert!((found - expected).abs() < 5e-4, "{found} {expected}");
+            }
+        }
+        let still = |_| (DVec3::ZERO, DVec3::ZERO);
+        let mut at_once = views(still);
+        at_once[3].time = at_once[2].time;
+        let found = Accelerations::of(&at_once, 2.0).frames;
+        assert!(found[2].is_none() && found[3].is_none() && found[4].is_some());
+    }
+
+    /// A hand that shakes, and walks so that there is a scene to drift.
+    fn shaking(t: f64) -> (DVec3, DVec3) {
+        let turn = 0.02 * DVec3::new((2.1 * t).sin(), (1.3 * t).cos(), 0.0);
+        (turn, DVec3::new(-0.3 * t, 0.05 * (0.4 * t).sin(), 0.0))
+    }
+
+    /// What is foretold of such frames, and what they share.
+    fn foretold(views: &[CameraView], device: &Device) -> (Foretold, Shared) {
+        let accelerations = Accelerations::of(views, 2.0);
+        let told = accelerations.known(&[true; 9]);
+        let shared = SceneShift::of(views).among(&[true; 9], &told, options_of(device));
+        let foretold = accelerations.foretold(&told, &shared, options_of(device));
+        (foretold, shared)
+    }
+
+    fn any(device: &Device) -> Tensor<2> {
+        let any: Vec<f64> = (0..18).map(|k| 0.01 * (f64::from(k) + 0.3).sin()).collect();
+        Tensor::from_data(TensorData::new(any, [9, 2]), options_of(device))
+    }
+
+    #[test]
+    fn the_scene_cannot_take_what_the_poses_foretell_of_paths() {
+        let device = Device::flex();
+        let (foretold, shared) = foretold(&views(shaking), &device);
+        for factor in [0.0, 0.04, 0.3] {
+            // As foretold, but for a scene that lies elsewhere, and for the ends, of which nothing is.
+            let truth = foretold.shifts.clone() * factor;
+            let moved = truth.clone() + shared.of_shifts(any(&device));
+            let mut ends = vec![0.0; 18];
+            (ends[1], ends[16]) = (0.02, -0.03);
+            let ends = Tensor::<2>::from_data(TensorData::new(ends, [9, 2]), options_of(&device));
+            let means = moved.clone() + ends.clone();
+            let held = means.clone() - shared.of_shifts(foretold.missed(means.clone()));
+            let off = |means: Tensor<2>| -> f64 {
+                let off = values(means - truth.clone() - ends.clone());
+                off.into_iter().fold(0.0, |most, v| most.max(v.abs()))
+            };
+            assert!(off(means) > 1e-3, "{factor}: something is moved");
+            assert!(off(held) < 1e-12, "{factor}");
+        }
+    }
+
+    #[test]
+    fn where_nothing_is_foretold_means_are_held_to_none() {
+        let device = Device::flex();
+        let all = values(any(&device));
+        let still = views(|_| (DVec3::ZERO, DVec3::ZERO));
+        assert_eq!(
+            values(foretold(&still, &device).0.missed(any(&device))),
+            all
+        );
+        assert_eq!(
+            Accelerations::of(&still[..2], 2.0).known(&[true; 2]),
+            [true; 2]
+        );
+        // Nor where they go against it.
+        let foretold = foretold(&views(shaking), &device).0;
+        let against = foretold.shifts.clone() * -0.1;
+        assert_eq!(values(foretold.missed(against.clone())), values(against));
+    }
+}
