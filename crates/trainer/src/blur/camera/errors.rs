@@ -9,46 +9,47 @@ use crate::views::ViewRef;
 use crate::world::World;
 use burn::tensor::Tensor;
 
-/// Errors of the frames, and those of all together where softness makes up for what is too sharp.
-pub(super) struct Softened {
-    pub(super) errors: Vec<f64>,
-    /// With the scene as soft as explains them best.
-    pub(super) softer_scene: f64,
-    /// With each frame by itself as soft as explains it best, along its rows by as much as it takes and along its columns.
-    pub(super) softer_frames: f64,
-}
-
 impl CameraBlur {
     /// The error of every frame.
     pub(super) fn errors(&self, world: &World, looks: &[Look<'_>]) -> Result<Vec<f64>, TrainError> {
         looks.iter().map(|look| self.error(world, look)).collect()
     }
 
-    /// The error of every frame, and of all together where softness makes up for what is too sharp.
-    pub(super) fn softened_errors(
+    /// The error of all frames together with the scene as soft as explains them best.
+    pub(super) fn softer_scene_error(
         &self,
         world: &World,
         looks: &[Look<'_>],
-    ) -> Result<Softened, TrainError> {
-        let (mut errors, mut by_frame) = (Vec::new(), 0.0);
-        let mut by_variance = [0.0; SOFTNESS.len()];
+    ) -> Result<f64, TrainError> {
+        let (mut sharp, mut softer) = (0.0, [0.0; SOFTNESS.len()]);
+        for look in looks {
+            let Some(view) = look.view else { continue };
+            let seen = self.seen(world, look, view)?;
+            for (total, variance) in softer.iter_mut().zip(SOFTNESS) {
+                *total += squared_error(softened(&seen, variance), view);
+            }
+            sharp += squared_error(seen, view);
+        }
+        Ok(softer.into_iter().fold(sharp, f64::min))
+    }
+
+    /// The error of every frame, and that of all together with each by itself as soft as explains it best.
+    pub(super) fn softer_frames_errors(
+        &self,
+        world: &World,
+        looks: &[Look<'_>],
+    ) -> Result<(Vec<f64>, f64), TrainError> {
+        let (mut errors, mut softer) = (Vec::new(), 0.0);
         for look in looks {
             let mut error = 0.0;
             if let Some(view) = look.view {
                 let seen = self.seen(world, look, view)?;
-                for (total, variance) in by_variance.iter_mut().zip(SOFTNESS) {
-                    *total += squared_error(softened(&seen, variance), view);
-                }
                 error = squared_error(seen.clone(), view);
-                by_frame += softened_error(seen, error, view);
+                softer += softened_error(seen, error, view);
             }
             errors.push(error);
         }
-        Ok(Softened {
-            softer_scene: by_variance.into_iter().fold(total(&errors), f64::min),
-            softer_frames: by_frame,
-            errors,
-        })
+        Ok((errors, softer))
     }
 
     /// Mean squared difference between what the camera would have seen and the frame.

@@ -82,8 +82,8 @@ impl CameraBlur {
         }
         let mut without = self.clone();
         without.capture.aperture = self.capture.aperture.zeros_like();
-        let left = without.softened_errors(world, looks)?;
-        let worth = share_more(left.softer_frames, &now);
+        let (left, softer) = without.softer_frames_errors(world, looks)?;
+        let worth = share_more(softer, &now);
         let pays = worth > LENS_PAYS;
         if pays && !refocuses {
             return Ok((now, worth));
@@ -92,13 +92,12 @@ impl CameraBlur {
         if pays {
             return Ok((focused, worth));
         }
-        let focused_worth = share_more(total(&left.errors), &focused);
-        if share_more(left.softer_frames, &focused) > LENS_PAYS && focused_worth > FOCUSED_LENS_PAYS
-        {
+        let focused_worth = share_more(total(&left), &focused);
+        if share_more(softer, &focused) > LENS_PAYS && focused_worth > FOCUSED_LENS_PAYS {
             return Ok((focused, focused_worth));
         }
         *self = without;
-        Ok((left.errors, worth))
+        Ok((left, worth))
     }
 
     /// The same of all paths. They are worth what they explain beyond a camera without them that drifts as they do, and a softer
@@ -119,8 +118,7 @@ impl CameraBlur {
         let drifted =
             drifted.map(|(i, look)| look.moved(drift.clone().narrow(0, i, 1), self.scene_size));
         let drifted: Vec<_> = drifted.collect();
-        let left = without.softened_errors(world, &drifted)?;
-        let worth = share_more(left.softer_scene, &now);
+        let worth = share_more(without.softer_scene_error(world, &drifted)?, &now);
         let limit = if is_there(&self.capture.aperture) {
             PATHS_PAY_BESIDE_LENS
         } else {
