@@ -252,8 +252,9 @@ fn paths_that_curl_have_no_lens_for_it() {
     for (name, device) in quick_devices() {
         let scene = filmed(&[0.0; FRAMES], [0.12, 0.02], 0.0, &device);
         let mut settings = settings(3000, BlurKind::Camera);
-        // With this one frames explain less by 6 % if they lose it, however soft the scene.
-        settings.camera.aperture = 0.06;
+        // With this one frames explain less by 4.0 to 7.2 % if they lose it, however soft the scene, and by 1.5 % at most where each
+        // is as soft as it likes (seeds 1 to 10).
+        settings.camera.aperture = 0.045;
         let (trainer, _) = behind_first_trial(scene, settings, &device);
         let figures = camera_figures(&trainer);
         assert_eq!(figures.aperture, 0.0, "{name}: {figures:?}");
