@@ -127,29 +127,39 @@ fn names_are_the_same_for_reading_and_replacing() {
 }
 
 #[test]
-fn the_mild_head_starts_near_a_gaussian_of_one_pixel() {
+fn a_head_starts_near_a_gaussian_of_one_pixel_and_its_intensity() {
     for (name, device) in devices() {
-        let net = BpNet::new(&config(9, HeadInit::Mild), &device, DType::F32)
-            .expect("the configuration is valid");
-        let inputs = inputs(12, 16, &device, DType::F32);
-        let field = net
-            .forward(1, &inputs, Extractor::Trained)
-            .expect("the shapes fit");
-        let blurred = composite(inputs.color, &field).expect("the shapes fit");
-        for m in values(field.intensity()) {
-            assert!((m - 0.5).abs() < 0.05, "{name}: m starts at {m}");
-        }
-        for kernel in values(field.kernel()).chunks_exact(81) {
-            let variance: f64 = (0..81)
-                .map(|j| kernel[j] * (j as f64 % 9.0 - 4.0).powi(2))
-                .sum();
-            assert!((variance - 1.0).abs() < 0.2, "{name}: variance {variance}");
-        }
-        for shift in values(blurred.centroid()) {
-            assert!(
-                shift.abs() < 0.1,
-                "{name}: the blur starts off centre by {shift} px"
-            );
+        for (head, intensity, within) in
+            [(HeadInit::Mild, 0.5, 0.05), (HeadInit::Slight, 0.05, 0.01)]
+        {
+            let net = BpNet::new(&config(9, head), &device, DType::F32)
+                .expect("the configuration is valid");
+            let inputs = inputs(12, 16, &device, DType::F32);
+            let field = net
+                .forward(1, &inputs, Extractor::Trained)
+                .expect("the shapes fit");
+            let blurred = composite(inputs.color, &field).expect("the shapes fit");
+            for m in values(field.intensity()) {
+                assert!(
+                    (m - intensity).abs() < within,
+                    "{name}, {head:?}: m starts at {m}"
+                );
+            }
+            for kernel in values(field.kernel()).chunks_exact(81) {
+                let variance: f64 = (0..81)
+                    .map(|j| kernel[j] * (j as f64 % 9.0 - 4.0).powi(2))
+                    .sum();
+                assert!(
+                    (variance - 1.0).abs() < 0.2,
+                    "{name}, {head:?}: variance {variance}"
+                );
+            }
+            for shift in values(blurred.centroid()) {
+                assert!(
+                    shift.abs() < 0.1,
+                    "{name}, {head:?}: the blur starts off centre by {shift} px"
+                );
+            }
         }
     }
 }

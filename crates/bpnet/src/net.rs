@@ -46,6 +46,9 @@ pub enum HeadInit {
     /// (m = 0.5), the heads' weights are a tenth of the usual. A delta kernel together with m = 0
     /// would be a saddle, from which neither moves.
     Mild,
+    /// Hardly any blur, for pictures whose blur something else explains already: as `Mild`, but the intensity's bias is -3
+    /// (m = 0.05).
+    Slight,
     /// As a framework initialises any layer.
     Framework,
 }
@@ -118,15 +121,16 @@ impl BpNet {
         let joined = HIDDEN_CHANNELS + if config.shortcut { FEATURE_CHANNELS } else { 0 };
         let first = EMBEDDING_CHANNELS + ENCODING_CHANNELS + FEATURE_CHANNELS;
         let entries = config.kernel_size * config.kernel_size;
-        let head_scale = match config.head {
-            HeadInit::Mild => 0.1,
-            HeadInit::Framework => 1.0,
+        let (head_scale, intensity) = match config.head {
+            HeadInit::Mild => (0.1, Some(0.0)),
+            HeadInit::Slight => (0.1, Some(-3.0)),
+            HeadInit::Framework => (1.0, None),
         };
         let mut kernel_head = init.layer(12, HIDDEN_CHANNELS, entries, head_scale);
         let mut intensity_head = init.layer(14, HIDDEN_CHANNELS, 1, head_scale);
-        if config.head == HeadInit::Mild {
+        if let Some(intensity) = intensity {
             kernel_head.bias = init.parameter(gaussian_logits(config.kernel_size), [1, entries]);
-            intensity_head.bias = init.parameter(vec![0.0], [1, 1]);
+            intensity_head.bias = init.parameter(vec![intensity], [1, 1]);
         }
         Ok(Self {
             kernel_size: config.kernel_size,

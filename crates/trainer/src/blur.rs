@@ -19,6 +19,7 @@ use crate::settings::{BlurKind, Settings};
 use crate::survey::Survey;
 use crate::views::Views;
 use crate::world::World;
+use bpnet::HeadInit;
 use burn::tensor::{DType, Device, Tensor};
 use camera::Worth;
 use glam::DAffine3;
@@ -75,7 +76,7 @@ impl BlurModel {
             BlurKind::Off => Self::Off,
             BlurKind::Auto if !survey.blurred => Self::Off,
             BlurKind::Kernels => {
-                let kernels = Kernels::new(settings, size, views, 0, options)?;
+                let kernels = Kernels::new(settings, size, views, (0, HeadInit::Mild), options)?;
                 Self::Kernels(Box::new(kernels))
             }
             BlurKind::Auto | BlurKind::Camera => {

@@ -85,12 +85,13 @@ pub(crate) struct KernelTrace {
 }
 
 impl Kernels {
-    /// Kernels that begin after the iteration `earliest`, or where the settings say, whichever is later.
+    /// Kernels that begin after the iteration `earliest`, or where the settings say, whichever is later; with heads as in `mild`,
+    /// unless the settings ask for a framework's.
     pub(super) fn new(
         settings: &Settings,
         scene_size: f64,
         views: &Views,
-        earliest: usize,
+        (earliest, mild): (usize, HeadInit),
         (device, dtype): (&Device, DType),
     ) -> Result<Self, TrainError> {
         let (blur, loss) = (&settings.blur, &settings.loss);
@@ -101,7 +102,7 @@ impl Kernels {
             shortcut: blur.shortcut,
             downscale: blur.downscale,
             head: if blur.mild_start {
-                HeadInit::Mild
+                mild
             } else {
                 HeadInit::Framework
             },
