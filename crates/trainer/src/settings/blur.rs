@@ -42,7 +42,7 @@ pub struct BlurSettings {
     pub shortcut: bool,
     /// Features, kernels and intensities are computed on a picture so many times smaller, 1 to 4.
     pub downscale: usize,
-    /// Whether the head starts at a mild blur; else as a framework initialises it.
+    /// Whether the head starts at a mild blur, on top of the camera at hardly any; else as a framework initialises it.
     pub mild_start: bool,
     /// Rows and columns of the cells whose mean kernel shift the gauge holds at zero.
     pub gauge_cells: [usize; 2],
