@@ -2,6 +2,7 @@
 
 use crate::error::LabError;
 use crate::execute::is_finished;
+use crate::hash::{hashed, hex};
 use crate::plan::{Plan, PlannedRun};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -28,17 +29,27 @@ impl Engine {
         }
     }
 
-    /// Writes the script, and `commands.txt` with a command a line, into a folder; runs that are finished are left out.
-    /// The script's path comes back.
+    /// Writes the script, and a list with a command a line, into a folder; runs that are finished are left out.
+    /// The script's path comes back; `None` where all are finished, and then nothing is written.
     ///
     /// # Errors
     /// They cannot be written.
-    pub fn write(self, plan: &Plan, jobs: usize, folder: &Path) -> Result<PathBuf, LabError> {
+    pub fn write(
+        self,
+        plan: &Plan,
+        jobs: usize,
+        folder: &Path,
+    ) -> Result<Option<PathBuf>, LabError> {
         let folder = std::path::absolute(folder).map_err(LabError::file(folder))?;
         let runs = plan.runs.iter().filter(|run| !is_finished(&run.folder));
         let runs: Vec<&PlannedRun> = runs.collect();
-        let commands = folder.join("commands.txt");
+        if runs.is_empty() {
+            return Ok(None);
+        }
         let lines: String = runs.iter().map(|run| line(&run.command) + "\n").collect();
+        // By what it holds: a task that still waits finds the list that it was made of.
+        let name = hex(&hashed([lines.as_str()])[..4]);
+        let commands = folder.join(format!("commands-{name}.txt"));
         std::fs::write(&commands, lines).map_err(LabError::file(&commands))?;
         let script = folder.join(self.file());
         let text = match self {
@@ -47,7 +58,7 @@ impl Engine {
             Self::Parallel => parallel(jobs, &commands),
         };
         std::fs::write(&script, text).map_err(LabError::file(&script))?;
-        Ok(script)
+        Ok(Some(script))
     }
 }
 
@@ -162,7 +173,10 @@ mod tests {
     fn a_task_of_the_array_is_a_run_and_words_stay_words() {
         let folder = tempfile::tempdir().expect("a folder");
         let plan = plan(folder.path());
-        let write = |engine: Engine| engine.write(&plan, 3, folder.path()).expect("written");
+        let write = |engine: Engine| {
+            let script = engine.write(&plan, 3, folder.path());
+            script.expect("written").expect("runs that are left")
+        };
         let script = write(Engine::Slurm);
         let text = std::fs::read_to_string(&script).expect("a script");
         assert!(text.contains("--array=1-3") && text.contains("--job-name='a study'"));
@@ -170,6 +184,8 @@ mod tests {
             let said = said(&script, ("SLURM_ARRAY_TASK_ID", task));
             assert_eq!(said, format!("it's $HOME {id}\n"));
         }
+        let queued = folder.path().join("queued.sh");
+        std::fs::copy(&script, &queued).expect("as Slurm keeps it");
         let text = std::fs::read_to_string(write(Engine::Parallel)).expect("a script");
         assert!(text.contains("--jobs 3"), "{text}");
 
@@ -179,6 +195,9 @@ mod tests {
         let script = write(Engine::Hq);
         let text = std::fs::read_to_string(&script).expect("a script");
         assert_eq!(text.matches("\nhq submit").count(), 2, "{text}");
+        write(Engine::Slurm);
+        let waited = said(&queued, ("SLURM_ARRAY_TASK_ID", "3"));
+        assert_eq!(waited, "it's $HOME cc\n", "the list of a task that waits");
         let stand_in = folder.path().join("hq");
         std::fs::write(&stand_in, "#!/bin/sh\nshift 5\necho \"$2|$4\"\n").expect("written");
         let executable = std::process::Command::new("chmod")
@@ -193,5 +212,12 @@ mod tests {
             "echo|bb\necho|cc\n",
             "arguments after the options"
         );
+
+        for id in ["bb", "cc"] {
+            std::fs::create_dir(folder.path().join(id)).expect("a folder");
+            std::fs::write(folder.path().join(id).join("metrics.json"), "{}").expect("written");
+        }
+        let none = Engine::Slurm.write(&plan, 3, folder.path());
+        assert!(none.expect("nothing to write").is_none(), "all finished");
     }
 }

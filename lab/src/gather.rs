@@ -46,6 +46,8 @@ pub fn gather(
             let measured = record.measured();
             let of = |score: &Score| score.of(&metrics, measured.as_ref());
             figures.insert(id, study.score.iter().map(of).collect());
+        } else if let Some(earlier) = kept.and_then(|kept| kept.figures(case, &study.score)) {
+            figures.insert(id, earlier);
         } else if let Some(how) = record.attempts.last().and_then(|a| a.failed.clone()) {
             failed.push(FailedRun {
                 scene: case.scene.clone(),
@@ -54,8 +56,6 @@ pub fn gather(
                 run: id.to_owned(),
                 failed: how,
             });
-        } else if let Some(earlier) = kept.and_then(|kept| kept.figures(case, &study.score)) {
-            figures.insert(id, earlier);
         }
     }
     let mut origin = Origin {

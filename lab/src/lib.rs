@@ -41,7 +41,7 @@ pub use kept::Kept;
 pub use local::{Tally, failure, run_all};
 pub use machine::Machine;
 pub use perturb::Perturb;
-pub use plan::{Places, Plan, PlannedRun, Program};
+pub use plan::{Places, Plan, PlannedRun, Program, write_json, write_whole};
 pub use plot::draw;
 pub use report::{Cell, FailedRun, Origin, Report, Row, SceneTable};
 pub use scenes::Scenes;

@@ -3,7 +3,7 @@
 use clap::{Args, Parser, Subcommand};
 use limpid_lab::{
     Case, Children, Engine, Kept, LabError, Outcome, Places, Plan, Program, Scenes, Study, Tally,
-    draw, execute, failure, gather, markdown, run_all,
+    draw, execute, failure, gather, markdown, run_all, write_json, write_whole,
 };
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -212,7 +212,10 @@ impl StudyArguments {
                 out: self.out.clone(),
             };
             let script = engine.write(&plan, self.jobs(), &places.study(&plan.study))?;
-            say(&script.display().to_string());
+            say(&script.map_or_else(
+                || "all of them are finished: no script is written".to_owned(),
+                |script| script.display().to_string(),
+            ));
         }
         Ok(ExitCode::SUCCESS)
     }
@@ -299,10 +302,8 @@ fn write_report(asked: &Asked, to: &Path) -> Result<(), LabError> {
     };
     let picture_name = format!("{name}.svg");
     let text = markdown(&report, is_drawn.then_some(&*picture_name));
-    std::fs::write(&table, text).map_err(LabError::file(&table))?;
-    let text = serde_json::to_string_pretty(&report);
-    let text = text.map_err(|e| LabError::Asked(format!("the report is no JSON: {e}")))?;
-    std::fs::write(&json, text + "\n").map_err(LabError::file(&json))?;
+    write_whole(&table, &text)?;
+    write_json(&json, &report)?;
     say(&format!(
         "{} of {} runs: {}",
         report.finished,

@@ -249,11 +249,22 @@ impl Plan {
     }
 }
 
-/// Writes JSON under another name first: a reader finds all of it or nothing.
-pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), LabError> {
+/// Writes JSON, whole or not at all.
+///
+/// # Errors
+/// It cannot be written.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), LabError> {
     let text = serde_json::to_string_pretty(value).map_err(|e| LabError::content(path, e))?;
+    write_whole(path, &(text + "\n"))
+}
+
+/// Writes a file under another name first: a reader finds all of it or nothing, and what was there stays until then.
+///
+/// # Errors
+/// It cannot be written.
+pub fn write_whole(path: &Path, text: &str) -> Result<(), LabError> {
     let half = path.with_extension(format!("{}.tmp", std::process::id()));
-    fs::write(&half, text + "\n").map_err(LabError::file(&half))?;
+    fs::write(&half, text).map_err(LabError::file(&half))?;
     fs::rename(&half, path).map_err(LabError::file(path))
 }
 

@@ -113,10 +113,20 @@ impl Scenes {
     /// It does.
     pub fn check_truth(&self, scene: &Path, arguments: &[String]) -> Result<(), LabError> {
         let given = arguments.iter().find_map(|a| a.strip_prefix("images="));
-        match given.map(|images| scene.join(images)) {
+        match given.map(|images| scene.join(unquoted(images))) {
             Some(images) if !images.is_dir() => Err(missing(&images)),
             _ => Ok(()),
         }
+    }
+}
+
+/// Text as it was before `--set` needed it in quotes.
+fn unquoted(text: &str) -> String {
+    let table = format!("v = {text}").parse::<toml::Table>().ok();
+    let value = table.and_then(|mut table| table.remove("v"));
+    match value {
+        Some(toml::Value::String(inner)) => inner,
+        _ => text.to_owned(),
     }
 }
 
@@ -315,6 +325,8 @@ mod tests {
                 .check_truth(&demo, &["images=truth/images_sharp".into()])
                 .is_ok()
         );
+        let quoted = nowhere.check_truth(&demo, &["images=\"truth/images_sharp\"".into()]);
+        assert!(quoted.is_ok(), "as names with spaces are written");
         let said = scenes.check_truth(&demo, &["images=truth/none".into()]);
         let said = said.expect_err("no such truth").to_string();
         assert!(said.contains("except") && said.contains("none"), "{said}");

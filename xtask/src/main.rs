@@ -159,22 +159,26 @@ fn main() -> ExitCode {
     }
 }
 
-/// The command that trains with `args`. Without a scene of their own, arguments are about the demo.
+/// The command that trains with `args`. Without a scene of their own, arguments are about the demo, or go on with what it came to.
 fn train(args: &[OsString]) -> Command {
     let mut command = in_folder("run", "limpid");
     if let Some(backend) = backend_feature(args) {
         command.args(["--features", backend]);
     }
     command.args(["--", "train"]);
-    let names_scene = |arg: &OsString| {
-        arg.to_str().is_some_and(|arg| {
-            ["--scene", "--config", "--help", "-h"]
-                .iter()
-                .any(|flag| arg.split('=').next() == Some(flag))
-        })
+    let has = |flags: &[&str]| {
+        let mut names = args
+            .iter()
+            .filter_map(|arg| arg.to_str()?.split('=').next());
+        names.any(|name| flags.contains(&name))
     };
-    if !args.iter().any(names_scene) {
-        command.arg("--config").arg(root().join("demo/limpid.toml"));
+    if !has(&["--scene", "--config", "--help", "-h"]) {
+        if !has(&["--resume"]) {
+            command.arg("--config").arg(root().join("demo/limpid.toml"));
+        } else if !has(&["--out"]) {
+            // A run goes on with settings of its own, which need not be the demo's.
+            command.args(["--out", "out/demo"]);
+        }
     }
     command.args(args);
     command
@@ -442,6 +446,18 @@ mod tests {
         assert_eq!(train_line(""), demo, "no arguments");
         for args in ["--iterations 300", "--out o --force"] {
             assert_eq!(train_line(args), format!("{demo} {args}"), "{args}");
+        }
+    }
+
+    #[test]
+    fn a_run_goes_on_without_settings_of_the_demo() {
+        for (args, told) in [
+            ("--resume", "--out out/demo --resume"),
+            ("--resume --out o", "--resume --out o"),
+            ("--out=o --resume", "--out=o --resume"),
+        ] {
+            let all = format!("--package limpid -- train {told}");
+            assert_eq!(train_line(args), all, "{args}");
         }
     }
 

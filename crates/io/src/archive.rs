@@ -39,10 +39,17 @@ pub(crate) fn for_each_entry(
             ));
         }
         let mut bytes = Vec::new();
+        // To the end and not up to its size: checksums are compared there.
         entry
-            .take(size)
+            .take(size.saturating_add(1))
             .read_to_end(&mut bytes)
             .map_err(|e| IoError::malformed(path, format!("entry {name}: {e}")))?;
+        if bytes.len() as u64 != size {
+            return Err(IoError::malformed(
+                path,
+                format!("entry {name} is not of the {size} bytes that it promises"),
+            ));
+        }
         take(&name, bytes)?;
     }
     Ok(())

@@ -197,6 +197,29 @@ mod tests {
     }
 
     #[test]
+    fn an_archive_with_a_damaged_byte_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.npz");
+        let mut archive = zip::ZipWriter::new(std::fs::File::create(&path).unwrap());
+        // As numpy's `savez` packs it: not at all.
+        let options = zip::write::FileOptions::default();
+        let options = options.compression_method(zip::CompressionMethod::Stored);
+        archive.start_file("a.npy", options).unwrap();
+        let array = npy(&[1.0f32, 2.0, 3.0], &[3], Order::C);
+        std::io::Write::write_all(&mut archive, &array).unwrap();
+        archive.finish().unwrap();
+        assert_eq!(read_npz(&path).unwrap()["a"].values, [1.0, 2.0, 3.0]);
+
+        let mut data = std::fs::read(&path).unwrap();
+        let two = 2.0f32.to_le_bytes();
+        let at = data.windows(4).position(|bytes| bytes == two).unwrap();
+        data[at + 2] ^= 1;
+        std::fs::write(&path, data).unwrap();
+        let said = read_npz(&path).unwrap_err().to_string();
+        assert!(said.contains("checksum") && said.contains('a'), "{said}");
+    }
+
+    #[test]
     fn reads_both_orders_of_axes() {
         let want = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
         let c = parse(&npy(&want, &[2, 3], Order::C)).unwrap();

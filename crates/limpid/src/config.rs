@@ -2,6 +2,7 @@
 
 use crate::failure::Failure;
 use crate::keys::{Mistake, RUN_KEYS, line_of, typed};
+use crate::say::say;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -249,6 +250,12 @@ pub(crate) fn read_table(path: &Path) -> Result<Table, Failure> {
     let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
     if path.extension().is_some_and(|e| e == "json") {
         let config = parse_json(&text, path)?;
+        if !config.changes.is_empty() {
+            say!(
+                "note: the run of {} was changed on its way (`changes` there); this one has from the beginning what it had in the end",
+                path.display()
+            );
+        }
         return config.table();
     }
     let mut table: Table = toml::from_str(&text).map_err(|e| format!("{e}: {}", path.display()))?;

@@ -55,6 +55,13 @@ pub(crate) struct ExportArguments {
     backend: Option<Backend>,
 }
 
+impl ExportArguments {
+    /// Whether movers move in what is written.
+    fn is_animated(&self) -> bool {
+        self.format.contains(&Format::Glb) && self.at.is_empty()
+    }
+}
+
 /// What others read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
@@ -82,6 +89,12 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
         .iter()
         .try_for_each(|time| within(&run, "--at", *time))?;
     let moments = arguments.moments.of(&run)?;
+    if arguments.is_animated() && arguments.moments.are_given() {
+        return Err(
+            "glb: its animation has all moments of the video; leave --from, --to and --step out, or name one with --at"
+                .into(),
+        );
+    }
     let stills = if arguments.at.is_empty() {
         &moments[..1]
     } else {

@@ -5,7 +5,7 @@ use crate::say::say;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 use trainer::StepReport;
 
@@ -72,11 +72,13 @@ impl Log {
     /// Goes on with the log in a folder, after so many iterations of `iterations`: lines of later ones are removed.
     pub(crate) fn open(out: &Path, iteration: usize, iterations: usize) -> Result<Self, Failure> {
         let path = out.join(LOG_FILE);
+        let kept = match std::fs::read(&path) {
+            Ok(text) => lines(&text),
+            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
+            Err(error) => return Err(format!("{error}: {}", path.display()).into()),
+        };
         let mut text = Vec::new();
-        for line in read(&path)
-            .iter()
-            .filter(|line| line.iteration <= iteration)
-        {
+        for line in kept.iter().filter(|line| line.iteration <= iteration) {
             serde_json::to_writer(&mut text, line)?;
             text.push(b'\n');
         }
@@ -134,9 +136,12 @@ impl Log {
 
 /// The lines of a log up to the first that is not whole; none where there is no log.
 pub(crate) fn read(path: &Path) -> Vec<Line> {
-    let text = std::fs::read_to_string(path).unwrap_or_default();
-    text.lines()
-        .map_while(|line| serde_json::from_str(line).ok())
+    lines(&std::fs::read(path).unwrap_or_default())
+}
+
+fn lines(text: &[u8]) -> Vec<Line> {
+    text.split(|byte| *byte == b'\n')
+        .map_while(|line| serde_json::from_slice(line).ok())
         .collect()
 }
 
@@ -179,8 +184,9 @@ mod tests {
         );
         assert_eq!(lines[0].terms["l1"], Some(2.75));
 
-        // Killed while it wrote, with a checkpoint after 20.
-        let half = std::fs::read_to_string(&path).unwrap() + "{\"iteration\": 40, \"lo";
+        // Killed while it wrote, with a checkpoint after 20; and a byte that is no text.
+        let mut half = std::fs::read(&path).unwrap();
+        half.extend(b"{\"iteration\": 40, \"lo\xff");
         std::fs::write(&path, half).unwrap();
         let mut log = Log::open(folder.path(), 20, 2000).unwrap();
         assert_eq!(read(&path), lines[..2]);

@@ -78,7 +78,7 @@ enum Command {
     View(view::ViewArguments),
     /// List what tensors can live on, and whether a scene fits.
     Devices(devices::DevicesArguments),
-    /// List every setting that --set and config files take: its default, its range and what it means.
+    /// List every setting that --set and config files take beside flags of `train`: its default, its range and what it means.
     Settings(settings::SettingsArguments),
     /// Write what a shell needs to complete this program's arguments, to its standard output.
     Completions {

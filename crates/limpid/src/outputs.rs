@@ -16,9 +16,9 @@ use trainer::{Change, Evaluation, Run, Scores, Settings, Trainer};
 /// A run's scores.
 pub(crate) const METRICS_FILE: &str = "metrics.json";
 
-/// The names of a run's results in its folder.
+/// The names of a run's results in its folder, in the order in which they are removed: what tells a run goes last, so that a folder
+/// that is cleared half-way is still one.
 const RESULTS: [&str; 8] = [
-    CONFIG_FILE,
     METRICS_FILE,
     log::LOG_FILE,
     report::FILE,
@@ -26,6 +26,7 @@ const RESULTS: [&str; 8] = [
     checkpoints::FOLDER,
     "renders",
     "scene.ply",
+    CONFIG_FILE,
 ];
 
 /// `metrics.json`.

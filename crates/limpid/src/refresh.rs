@@ -7,6 +7,8 @@ use crate::log;
 use crate::outputs;
 use crate::report::{self, Gallery};
 use crate::say::say;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use trainer::Run;
@@ -19,13 +21,26 @@ pub(crate) fn is_current(out: &Path) -> bool {
         .is_some_and(|report| checkpoint.is_none_or(|saved| saved <= report))
 }
 
-/// Renders a run's last checkpoint and writes its report; `scene` is where the scene is now, if it has moved.
+/// Renders a run's last checkpoint and writes its report; `scene` is where the scene is now, if it has moved. Where the scene is not
+/// at hand, a report of the same iteration stays, with the blurry frames that it has.
 pub(crate) fn write(out: &Path, config: &Config, scene: Option<&Path>) -> Result<(), Failure> {
-    say!("writing {} …", out.join(report::FILE).display());
     let run = checkpoints::open(out, config)?;
     let scene = outputs::frames(&run, config, scene)?;
+    if scene.is_none() && reported(out) == Some(run.iteration()) {
+        return Ok(());
+    }
+    say!("writing {} …", out.join(report::FILE).display());
     let gallery = outputs::write_renders(&run, scene.as_ref(), &out.join("renders"))?;
     write_with(out, &run, &gallery)
+}
+
+/// After how many iterations the report was written.
+fn reported(out: &Path) -> Option<usize> {
+    #[derive(Deserialize)]
+    struct Age {
+        iterations: usize,
+    }
+    report::read::<Age, IgnoredAny>(out).map(|(facts, _)| facts.iterations)
 }
 
 /// Writes the report with these pictures.

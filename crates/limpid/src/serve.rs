@@ -198,7 +198,11 @@ impl Server {
             .filter_map(|line| line.split_once(':'))
             .find(|(name, _)| name.eq_ignore_ascii_case("host"));
         let host = host.map_or("", |(_, host)| host.trim());
-        if host != format!("127.0.0.1:{port}") && host != format!("localhost:{port}") {
+        // Browsers leave 80 out.
+        let ours = ["127.0.0.1", "localhost"]
+            .iter()
+            .any(|name| host == format!("{name}:{port}") || port == 80 && host == *name);
+        if !ours {
             return Err("403 Forbidden");
         }
         let path = target.split(['?', '#']).next().unwrap_or_default();

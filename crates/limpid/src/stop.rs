@@ -58,6 +58,11 @@ impl Stop {
         self.asked.load(Ordering::Relaxed)
     }
 
+    /// From now on something is lost by an end.
+    pub(crate) fn unsaved(&self) {
+        self.saved.store(false, Ordering::Relaxed);
+    }
+
     /// From now on nothing is lost by an end.
     pub(crate) fn saved(&self) {
         self.saved.store(true, Ordering::Relaxed);
@@ -103,5 +108,11 @@ mod tests {
         evaluating.saved();
         assert!(matches!(evaluating.hear(), Answer::Told(_)));
         assert_eq!(evaluating.hear(), Answer::End);
+
+        let next_length = Stop::default();
+        next_length.saved();
+        next_length.unsaved();
+        assert_eq!(next_length.hear(), Answer::Noted);
+        assert!(matches!(next_length.hear(), Answer::Told(_)));
     }
 }

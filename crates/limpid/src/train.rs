@@ -115,14 +115,16 @@ impl Started {
         let (said, next) = lengths.next(&mut self.trainer, log)?;
         say!("{said}");
         self.config.settings.iterations = self.trainer.settings().iterations;
-        io::write_json(&self.out.join(CONFIG_FILE), &self.config)?;
+        // Where config.json says more iterations than the checkpoint does, a run is made longer: at no time may that be so here.
         match next {
             Next::Done => Ok(false),
             Next::Longer => {
-                self.checkpoints = Checkpoints::new(&self.out, self.trainer.settings(), None);
+                self.checkpoints.save(&self.trainer)?;
+                io::write_json(&self.out.join(CONFIG_FILE), &self.config)?;
                 Ok(true)
             }
             Next::Before(log) => {
+                io::write_json(&self.out.join(CONFIG_FILE), &self.config)?;
                 io::write_atomic(&log_file, |file| file.write_all(&log))?;
                 self.checkpoints.save(&self.trainer)?;
                 Ok(false)
@@ -144,6 +146,7 @@ impl Started {
             checkpoints,
             ..
         } = self;
+        stop.unsaved();
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
         let mut forecast = Forecast::new(trainer, memory::expected(trainer, config));

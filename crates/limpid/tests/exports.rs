@@ -163,6 +163,11 @@ fn exports(run: &Path) -> Outcome {
         let text = refusal(&[&["export", name, "--format", "ply-sequence"], &bad[..]].concat())?;
         assert!(text.contains(why), "{bad:?}: {text}");
     }
+    let text = refusal(&["export", name, "--format", "glb", "--from", "1"])?;
+    assert!(
+        text.contains("all moments") && text.contains("--at"),
+        "{text}"
+    );
     let text = refusal(&["export", name, "--format", "glb", "--fps", "-1"])?;
     assert!(text.contains("--fps"), "{text}");
     read_by_others(&out)

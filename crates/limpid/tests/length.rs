@@ -4,15 +4,21 @@ use serde_json::Value;
 use std::error::Error;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
-use std::time::Instant;
+use std::process::{Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
 
-fn train(out: &Path, args: &[&str]) -> Result<Output, Box<dyn Error>> {
+fn command(out: &Path, args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_limpid"));
     command.args(["train", "--scene", DEMO, "--downscale", "5"]);
-    Ok(command.args(args).arg("--out").arg(out).output()?)
+    command.args(args).arg("--out").arg(out);
+    command
+}
+
+fn train(out: &Path, args: &[&str]) -> Result<Output, Box<dyn Error>> {
+    Ok(command(out, args).output()?)
 }
 
 /// The settings in a run's configuration.
@@ -112,6 +118,30 @@ fn lengths_double_up_to_the_most_and_the_last_run_can_be_repeated() -> Result<()
         iterations.is_sorted(),
         "of the last run alone: {iterations:?}"
     );
+    assert_repeats(&out)
+}
+
+#[test]
+fn a_length_that_was_killed_is_finished_and_not_the_one_before_made_longer()
+-> Result<(), Box<dyn Error>> {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    let mut run = command(&out, &["--until-done", "--iterations", "760"])
+        .stderr(Stdio::null())
+        .spawn()?;
+    let waits = Instant::now();
+    while length(&out).ok() != Some(760) {
+        assert!(run.try_wait()?.is_none(), "it ended");
+        assert!(waits.elapsed() < Duration::from_secs(600), "too slow");
+        sleep(Duration::from_millis(5));
+    }
+    run.kill()?;
+    run.wait()?;
+    let resumed = command(&out, &["--resume"]).output()?;
+    let said = String::from_utf8_lossy(&resumed.stderr).into_owned();
+    assert!(resumed.status.success(), "{said}");
+    assert!(said.contains(" of 760"), "{said}");
+    assert!(!said.contains("in the place of"), "made longer: {said}");
     assert_repeats(&out)
 }
 

@@ -5,7 +5,7 @@ use std::fs;
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
 
@@ -182,6 +182,13 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
     fs::write(out.join("config.json"), edited.to_string())?;
     let rendered = output(&["render", path(&out)])?;
     assert!(rendered.status.success(), "{}", text(&rendered.stderr));
+    assert_eq!(pictures(&fs::read_to_string(&report)?), pictures(&whole));
+    // Nor where a copy of the folder has made it seem older than the checkpoint.
+    let file = fs::File::options().append(true).open(&report)?;
+    file.set_modified(SystemTime::UNIX_EPOCH)?;
+    let page = folder.path().join("compare.html");
+    let compared = output(&["compare", path(&out), path(&out), "--out", path(&page)])?;
+    assert!(compared.status.success(), "{}", text(&compared.stderr));
     assert_eq!(pictures(&fs::read_to_string(&report)?), pictures(&whole));
     Ok(())
 }

@@ -84,7 +84,8 @@ pub(crate) fn learning_rate(
 fn pace_at_rest(schedule: &Schedule, group: Group, final_share: f64, it: usize) -> f64 {
     let left = match group {
         Group::Means => 1.0,
-        _ => Schedule::settled(it, final_share),
+        // A run that was made longer keeps the rates of its schedule's end.
+        _ => Schedule::settled(it.min(schedule.iterations), final_share),
     };
     schedule.static_pace() * left
 }
@@ -155,7 +156,14 @@ mod tests {
             unseen: false,
             blur_moments: vec![],
         };
-        let schedule = Schedule::new(&Settings::default(), 24, modelled);
+        let of = |iterations| {
+            let settings = Settings {
+                iterations,
+                ..Settings::default()
+            };
+            Schedule::new(&settings, 24, modelled.clone())
+        };
+        let (schedule, short) = (of(40_000), of(2000));
         let pace = |group, it| pace_at_rest(&schedule, group, 0.1, it) / schedule.static_pace();
         for group in [
             Group::Quats,
@@ -168,6 +176,8 @@ mod tests {
             assert!((pace(group, 2000) - 0.25).abs() < 1e-12);
             assert!((pace(group, 40_000) - 0.1).abs() < 1e-12);
             assert!(pace_at_rest(&schedule, group, 1.0, 40_000) == schedule.static_pace());
+            let end = pace_at_rest(&short, group, 0.1, 2000);
+            assert_eq!(pace_at_rest(&short, group, 0.1, 3000), end, "made longer");
         }
         assert!((1..=3000).all(|it| pace(Group::Means, it) == 1.0));
     }

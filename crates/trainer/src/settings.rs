@@ -70,7 +70,7 @@ impl Default for Settings {
 pub struct GaussianSettings {
     /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: usize,
-    /// The active degree rises by one every so many iterations.
+    /// The active degree rises by one every so many iterations (of 40,000).
     pub sh_degree_every: usize,
     /// Static Gaussians at the start: at most so many…
     pub max_initial_static: usize,
@@ -99,7 +99,7 @@ pub struct GaussianSettings {
     pub prune_scale_from: usize,
     /// Gaussians below this opacity are removed.
     pub prune_opacity: f64,
-    /// At most so many Gaussians for each pixel of a frame; 0 for no limit.
+    /// At most so many Gaussians for each pixel of a frame, and 20,000 in any case; 0 for no limit.
     pub max_per_pixel: f64,
     /// Iterations between resets of the opacity, in runs of 10,000 iterations or more; 0 for never.
     pub opacity_reset_every: usize,

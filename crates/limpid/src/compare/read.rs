@@ -4,6 +4,7 @@ use crate::config::Config;
 use crate::failure::Failure;
 use crate::refresh;
 use crate::report;
+use crate::shell::quoted;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::Path;
@@ -80,7 +81,11 @@ impl Compared {
         }
         let (facts, gallery) = found.ok_or_else(|| {
             let path = folder.join(report::FILE);
-            format!("{} cannot be read back", path.display())
+            format!(
+                "{} cannot be read back; `limpid render {} --scene DIR` writes it anew",
+                path.display(),
+                quoted(&folder.display().to_string())
+            )
         })?;
         Ok(Self {
             name,

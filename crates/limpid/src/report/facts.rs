@@ -253,17 +253,29 @@ fn command(config: &Config, others: &[trainer::Difference]) -> String {
         words.push(format!("--backend {}", run.backend.name()));
     }
     for other in others {
-        let value = match &other.here {
-            Value::String(text) => text.clone(),
-            value => value.to_string(),
-        };
-        words.push(match other.setting.as_str() {
-            "iterations" => format!("--iterations {value}"),
-            "seed" => format!("--seed {value}"),
-            setting => format!("--set {}", quoted(&format!("{setting}={value}"))),
-        });
+        push(&other.setting, &other.here, &mut words);
     }
     words.join(" ")
+}
+
+/// The flags of a setting that is not the default.
+fn push(setting: &str, value: &Value, words: &mut Vec<String>) {
+    let value = match value {
+        Value::String(text) => text.clone(),
+        // Not as JSON, which --set does not read.
+        Value::Object(inner) => {
+            for (key, value) in inner {
+                push(&format!("{setting}.{key}"), value, words);
+            }
+            return;
+        }
+        value => value.to_string(),
+    };
+    words.push(match setting {
+        "iterations" => format!("--iterations {value}"),
+        "seed" => format!("--seed {value}"),
+        setting => format!("--set {}", quoted(&format!("{setting}={value}"))),
+    });
 }
 
 #[cfg(test)]
@@ -281,10 +293,12 @@ mod tests {
         config.run.downscale = Some(2);
         config.run.distortion = crate::config::Distortion::Refuse;
         config.settings.blur.kernel_size = 7;
+        config.settings.camera.transfer = trainer::settings::TransferKind::Power(2.2);
         let others = differences(&config.settings, &Settings::default());
         assert_eq!(
             command(&config, &others),
-            "limpid train --scene 'my scene' --downscale 2 --distortion refuse --set blur.kernel_size=7 --iterations 300"
+            "limpid train --scene 'my scene' --downscale 2 --distortion refuse --set blur.kernel_size=7 \
+             --set camera.transfer.power=2.2 --iterations 300"
         );
     }
 

@@ -42,8 +42,11 @@ const LENS_TURN: f64 = 0.754_877_666_2;
 const LEAST_SAMPLES: usize = 3;
 /// Shares of a run, counted from the start of blur, after which other paths and none are tried on every frame…
 const TRIALS: [f64; 4] = [0.055, 0.165, 0.275, 0.42];
-/// … and how often at least every frame has been seen between two of them.
+/// … and how often at least every frame has been seen between two of them: where a run is too short for that, there are fewer…
 const VISITS: usize = 5;
+/// … and the last, with which lens and paths that do not pay go and the aperture is freed, is never later than so much of what blur
+/// has of the run.
+const LATEST_TRIAL: f64 = 2.0 / 3.0;
 
 /// Path, lens and pose of every frame, and when and how they are used.
 #[derive(Clone, Debug)]
@@ -79,13 +82,13 @@ impl Moments {
     /// Of a run of n iterations on so many frames.
     fn new(n: usize, num_frames: usize) -> Self {
         let from = 250.min(n / 4);
-        let trial = |(k, share): (usize, &f64)| {
-            let visited = (k + 1) * VISITS * num_frames;
-            from + visited.max((share * (n - from) as f64) as usize)
-        };
+        let of_rest = |share: f64| (share * (n - from) as f64) as usize;
+        let (seen, latest) = (VISITS * num_frames, of_rest(LATEST_TRIAL));
+        let count = (latest / seen.max(1)).clamp(1, TRIALS.len());
+        let trial = |k: usize| from + of_rest(TRIALS[k]).max((k + 1) * seen).min(latest);
         Self {
             from,
-            trials: TRIALS.iter().enumerate().map(trial).collect(),
+            trials: (0..count).map(trial).collect(),
             refocuses: n < PACED_ITERATIONS,
         }
     }
@@ -393,17 +396,26 @@ mod tests {
 
     #[test]
     fn frames_are_seen_between_trials_in_short_runs_too() {
-        for (n, frames) in [(200, 6), (1200, 16), (3000, 24), (40_000, 300)] {
-            let moments = Moments::new(n, frames);
-            let mut before = moments.from;
-            for trial in moments.trials {
-                assert!(
-                    trial - before >= VISITS * frames,
-                    "{n}: {trial} after {before}"
-                );
-                before = trial;
+        for n in [200, 500, 1000, 3000, 40_000] {
+            for frames in [1, 6, 16, 24, 60, 150, 300] {
+                let moments = Moments::new(n, frames);
+                let mut before = moments.from;
+                let (first, all) = (moments.trials[0], moments.trials.len());
+                for trial in moments.trials {
+                    assert!(
+                        all == 1 || trial - before >= VISITS * frames,
+                        "{n}: {trial} after {before}"
+                    );
+                    before = trial;
+                }
+                assert!(first > moments.from, "{n}, {frames}: blur comes first");
+                let left = n - before;
+                assert!(3 * left >= n - moments.from, "{n}, {frames}: {before}");
             }
         }
         assert_eq!(Moments::new(3000, 24).trials, [401, 703, 1006, 1405]);
+        assert_eq!(Moments::new(3000, 150).trials, [1000, 1750]);
+        assert_eq!(Moments::new(500, 24).trials, [245, 365]);
+        assert_eq!(Moments::new(1000, 300).trials, [750]);
     }
 }

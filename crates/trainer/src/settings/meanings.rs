@@ -80,8 +80,13 @@ impl Items {
                     doc.push(text.trim());
                 } else if *is_enum && inner.starts_with(char::is_alphabetic) {
                     let variant = inner.split(['(', ',']).next().unwrap_or_default();
+                    let variant = variant.to_lowercase();
                     let variants = items.enums.entry(name.clone()).or_default();
-                    variants.push(variant.to_lowercase());
+                    variants.push(if inner.contains('(') {
+                        format!("{{ {variant} = … }}")
+                    } else {
+                        variant
+                    });
                 } else if let Some((field, kind)) =
                     inner.strip_prefix("pub ").and_then(|f| f.split_once(": "))
                 {
