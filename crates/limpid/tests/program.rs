@@ -184,10 +184,13 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
     assert!(rendered.status.success(), "{}", text(&rendered.stderr));
     assert_eq!(pictures(&fs::read_to_string(&report)?), pictures(&whole));
     // Nor where a copy of the folder has made it seem older than the checkpoint.
+    let copied = folder.path().join("copy");
+    copy(&out, &copied)?;
+    let report = copied.join("report.html");
     let file = fs::File::options().append(true).open(&report)?;
     file.set_modified(SystemTime::UNIX_EPOCH)?;
     let page = folder.path().join("compare.html");
-    let compared = output(&["compare", path(&out), path(&out), "--out", path(&page)])?;
+    let compared = output(&["compare", path(&out), path(&copied), "--out", path(&page)])?;
     assert!(compared.status.success(), "{}", text(&compared.stderr));
     assert_eq!(pictures(&fs::read_to_string(&report)?), pictures(&whole));
     Ok(())

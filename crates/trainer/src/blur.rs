@@ -230,9 +230,10 @@ impl BlurModel {
     /// What a checkpoint holds of it beside its parameters, by name.
     pub(crate) fn tables(&self, device: &Device) -> Vec<(&'static str, Tensor<2>)> {
         match self {
-            Self::Off | Self::Camera(_) => Vec::new(),
+            Self::Off => Vec::new(),
+            Self::Camera(camera) => vec![camera.table(device)],
             Self::Kernels(kernels) => vec![kernels.table(device)],
-            Self::Both(both) => vec![both.kernels.table(device)],
+            Self::Both(both) => vec![both.camera.table(device), both.kernels.table(device)],
         }
     }
 
@@ -242,9 +243,13 @@ impl BlurModel {
         mut read: impl FnMut(&str, [usize; 2]) -> Result<Tensor<2>, E>,
     ) -> Result<(), E> {
         match self {
-            Self::Off | Self::Camera(_) => Ok(()),
+            Self::Off => Ok(()),
+            Self::Camera(camera) => camera.restore(&mut read),
             Self::Kernels(kernels) => kernels.restore(&mut read),
-            Self::Both(both) => both.kernels.restore(&mut read),
+            Self::Both(both) => {
+                both.camera.restore(&mut read)?;
+                both.kernels.restore(&mut read)
+            }
         }
     }
 }

@@ -40,6 +40,8 @@ use tracing::trace_span;
 const LENS_TURN: f64 = 0.754_877_666_2;
 /// A frame that is blurred at all is averaged from so many renders or more.
 const LEAST_SAMPLES: usize = 3;
+/// Name of its table in checkpoints.
+const TABLE: &str = "camera.explained";
 /// Shares of a run, counted from the start of blur, after which other paths and none are tried on every frame…
 const TRIALS: [f64; 4] = [0.055, 0.165, 0.275, 0.42];
 /// … and how often at least every frame has been seen between two of them: where a run is too short for that, there are fewer…
@@ -57,6 +59,9 @@ pub struct CameraBlur {
     /// What the paths that are there have in common, and what is foretold of them; made where it is needed, and anew behind a trial,
     /// which may put paths in and out.
     shared: Option<(Shared, Foretold)>,
+    /// Frames that were not explained far worse than others at the last trial: the paths of those that were do not tell what is the
+    /// scene's.
+    explained: Vec<bool>,
     settings: CameraSettings,
     moments: Moments,
     /// Focal length of each frame, px.
@@ -138,6 +143,7 @@ impl CameraBlur {
             scene_shift: SceneShift::of(&views.train),
             accelerations: Accelerations::of(&views.train, survey.scene_size),
             shared: None,
+            explained: vec![true; focal.len()],
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
             focal,
@@ -345,7 +351,12 @@ impl CameraBlur {
                 .chunks_exact(width)
                 .map(|path| path.iter().any(|p| *p != 0.0));
             let moving: Vec<bool> = moving.collect();
-            let told = self.accelerations.known(&moving);
+            let well: Vec<bool> = moving
+                .iter()
+                .zip(&self.explained)
+                .map(|(moves, explained)| *moves && *explained)
+                .collect();
+            let told = self.accelerations.known(&well);
             let shared = self.scene_shift.among(&moving, &told, options);
             let foretold = self.accelerations.foretold(&told, &shared, options);
             (shared, foretold)
@@ -356,6 +367,26 @@ impl CameraBlur {
         let missed = foretold.missed(held.mean_shifts());
         held.bend(-turns(shared.of_shifts(missed)));
         self.capture.paths = leaf(held.paths, true);
+    }
+
+    /// What a checkpoint keeps of it beside its parameters.
+    pub(super) fn table(&self, device: &Device) -> (&'static str, Tensor<2>) {
+        let rows: Vec<f32> = self.explained.iter().map(|e| f32::from(*e)).collect();
+        let shape = [rows.len(), 1];
+        (
+            TABLE,
+            Tensor::from_data(TensorData::new(rows, shape), device),
+        )
+    }
+
+    /// Takes back what [`Self::table`] gave.
+    pub(super) fn restore<E>(
+        &mut self,
+        read: &mut impl FnMut(&str, [usize; 2]) -> Result<Tensor<2>, E>,
+    ) -> Result<(), E> {
+        let rows = host(read(TABLE, [self.explained.len(), 1])?);
+        self.explained = rows.iter().map(|row| *row != 0.0).collect();
+        Ok(())
     }
 
     /// Whether frames try other paths once `it` iterations are done.
@@ -417,5 +448,68 @@ mod tests {
         assert_eq!(Moments::new(3000, 150).trials, [1000, 1750]);
         assert_eq!(Moments::new(500, 24).trials, [245, 365]);
         assert_eq!(Moments::new(1000, 300).trials, [750]);
+    }
+
+    /// The paths of some frames, [N, 12], once they are held; those of `unexplained` do not tell.
+    fn held(paths: Vec<f64>, unexplained: Option<usize>) -> Vec<f64> {
+        let frame = |k: usize| {
+            let t = k as f64;
+            let center = glam::DVec3::new(0.2 * t, 0.1 * (1.7 * t).sin(), 0.3 * (0.9 * t).cos());
+            io::Frame {
+                view: io::View {
+                    name: k.to_string(),
+                    camera: splat_core::Camera::pinhole([8, 6], [7.0; 2], [4.0, 3.0]),
+                    cam_from_world: DAffine3::from_translation(-center),
+                    time: k as f32,
+                    image: io::Image {
+                        width: 8,
+                        height: 6,
+                        pixels: vec![0.5; 8 * 6 * 3],
+                    },
+                },
+                depth: Some(io::Map {
+                    width: 8,
+                    height: 6,
+                    values: vec![5.0; 8 * 6],
+                }),
+                mask: None,
+            }
+        };
+        let mut scene = io::Scene::of_frames((0..9).map(frame).collect());
+        let settings = Settings::default();
+        let survey = crate::survey::survey(&mut scene, settings.motion.when).expect("a survey");
+        let views = Views::of(&scene, 0.01);
+        let options = (&Device::flex().autodiff(), DType::F64);
+        let mut camera = CameraBlur::new(&settings, &survey, &views, options);
+        let paths = TensorData::new(paths, [9, 2 * RIGID]);
+        camera.capture.paths = Tensor::from_data(paths, options);
+        if let Some(frame) = unexplained {
+            camera.explained[frame] = false;
+        }
+        camera.hold(camera.moments.from + 1);
+        let held = camera.capture.paths.inner();
+        held.try_into_vec_as::<f64>().expect("f64")
+    }
+
+    #[test]
+    fn a_frame_that_was_not_explained_moves_no_other() {
+        let tame: Vec<f64> = (0..9 * 2 * RIGID)
+            .map(|k| 0.01 * (1.3 * k as f64 + 0.2).sin())
+            .collect();
+        let mut wild = tame.clone();
+        let bend = 4 * 2 * RIGID + RIGID;
+        (wild[bend], wild[bend + 1]) = (0.7, -0.9);
+        let others = |paths: Vec<f64>| -> Vec<f64> {
+            let rows = paths.chunks_exact(2 * RIGID).enumerate();
+            let others = rows.filter(|(frame, _)| *frame != 4);
+            others.flat_map(|(_, row)| row.to_vec()).collect()
+        };
+        let off = |unexplained| {
+            let [one, other] = [&tame, &wild].map(|p| others(held(p.clone(), unexplained)));
+            let pairs = one.iter().zip(&other);
+            pairs.fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()))
+        };
+        assert!(off(Some(4)) < 1e-12, "{}", off(Some(4)));
+        assert!(off(None) > 1e-2, "{}", off(None));
     }
 }

@@ -16,6 +16,8 @@ use tracing::trace_span;
 /// only a little better before the scene is sharp can lead to where no trial gets it out again. (RESULTS.md, "What a trial sees",
 /// has what was seen.)
 const FRESH_PATH_PAYS: f64 = 0.1;
+/// A frame whose error is so many times that of the frame in the middle, 2.5 dB, is not explained.
+const NOT_EXPLAINED: f64 = 1.8;
 /// A frame's path pays if without it the frame's error is larger by more than this share.
 const PATH_PAYS: f64 = 0.01;
 /// A frame is tried with up to so many renders or more, however few it is trained with: what a lens explains is not seen through
@@ -67,6 +69,7 @@ impl CameraBlur {
             *own = leaf(found.clone().inner(), true);
         }
         self.shared = None;
+        self.explained = trial.explained;
         Ok(Revised {
             paths,
             focuses: focuses.collect(),
@@ -90,7 +93,7 @@ impl CameraBlur {
         if lengths.iter().all(|length| *length == 0.0) {
             return Ok(Vec::new());
         }
-        let mut changed = Vec::new();
+        let (mut changed, mut errors) = (Vec::new(), Vec::new());
         for (frame, look) in looks.iter().enumerate() {
             let own = self.path(frame);
             let length = usual_px / self.focal[frame];
@@ -100,17 +103,9 @@ impl CameraBlur {
                 let open = Ways::new(&own, 0, [0.7, 0.35].map(|times| times * length));
                 self.search(world, look, &open, &mut best)?;
             }
-            // 2.5 dB under the others, or hardly moved: it does not leave a wrong direction by itself.
-            if now[frame] > 1.8 * usual || lengths[frame] < 0.4 * usual_px {
-                let still = vec![0.0; own.len()];
-                let mut fresh = (f64::INFINITY, still.clone());
-                let straight = Ways::new(&still, 0, [1.0, 0.5, 2.0].map(|times| times * length));
-                self.search(world, look, &straight, &mut fresh)?;
-                for term in 1..own.len() / RIGID {
-                    let bent = Ways::new(&fresh.1, term, [2.0, 4.0].map(|times| times * length));
-                    self.search(world, look, &bent, &mut fresh)?;
-                }
-                self.try_path(world, look, reversed(&fresh.1), &mut fresh)?;
+            // Far worse than the others, or hardly moved: it does not leave a wrong direction by itself.
+            if now[frame] > NOT_EXPLAINED * usual || lengths[frame] < 0.4 * usual_px {
+                let fresh = self.afresh(world, look, length)?;
                 if fresh.0 < (1.0 - FRESH_PATH_PAYS) * best.0 {
                     best = fresh;
                 }
@@ -125,11 +120,53 @@ impl CameraBlur {
                 }
             }
             self.set_path(frame, &best.1);
+            errors.push(best.0);
             if best.1 != own {
                 changed.push(frame);
             }
         }
+        let usual = median(&errors);
+        let explained = errors.iter().map(|error| *error <= NOT_EXPLAINED * usual);
+        self.explained = explained.collect();
         Ok(changed)
+    }
+
+    /// The best path that begins from nothing, with its error; `length` is the usual one, rad. First it leads somewhere and then it
+    /// bends, or, as where a hand turns back while the shutter is open, first it bends.
+    fn afresh(
+        &mut self,
+        world: &World,
+        look: &Look<'_>,
+        length: f64,
+    ) -> Result<(f64, Vec<f32>), TrainError> {
+        let terms = self.settings.path_degree;
+        let still = (f64::INFINITY, vec![0.0; terms * RIGID]);
+        let mut search = |term: usize, times: &[f64], best: &mut (f64, Vec<f32>)| {
+            let lengths = times.iter().map(|times| times * length).collect();
+            let ways = Ways {
+                path: best.1.clone(),
+                term,
+                lengths,
+            };
+            self.search(world, look, &ways, best)
+        };
+        let mut led = still.clone();
+        search(0, &[1.0, 0.5, 2.0], &mut led)?;
+        for term in 1..terms {
+            search(term, &[2.0, 4.0], &mut led)?;
+        }
+        let mut best = led;
+        if terms > 1 {
+            let mut folded = still;
+            search(1, &[4.0, 2.0, 8.0], &mut folded)?;
+            search(0, &[0.5, 1.0], &mut folded)?;
+            if folded.0 < best.0 {
+                best = folded;
+            }
+        }
+        let back = reversed(&best.1);
+        self.try_path(world, look, back, &mut best)?;
+        Ok(best)
     }
 
     /// Puts the best of some paths in the place of `best`, with its error, if it is better: in the direction that explains the frame
