@@ -70,8 +70,12 @@ fn so_has_every_parameter_group_of_the_camera() {
 
 #[test]
 fn so_has_every_parameter_group_of_both() {
-    // Kernels come in after the camera's last trial, and L_spa not before the run's end.
-    check(BlurKind::Both, &["downsample", "gauge"], 195);
+    // Kernels come in after the camera's last trial.
+    check(
+        BlurKind::Both,
+        &["downsample", "gauge", "intensity", "kernel_center"],
+        195,
+    );
 }
 
 /// The gradients of a whole loss with a blur model after so many iterations, at which every term is on and until which each
