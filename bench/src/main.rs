@@ -99,8 +99,8 @@ enum Command {
         #[arg(long, default_value = "out/bench")]
         out: PathBuf,
     },
-    /// Trains the demo at 32x18 on the CPU's backends of this build and on wgpu: losses in one plot, `curves.svg`, and scores, `curves.json`. What
-    /// another build left there of other backends stays.
+    /// Trains the demo at 32x18 on the CPU's backends of this build and on wgpu: losses in one plot, `curves.svg`, and scores,
+    /// `curves.json`. What another build left there of other backends stays.
     Curves {
         /// Where the results go.
         #[arg(long, default_value = "out/bench")]

@@ -8,6 +8,7 @@ mod foretold;
 mod grown;
 mod layers;
 mod lens;
+mod moments;
 mod parts;
 mod softness;
 mod taken;
@@ -20,7 +21,6 @@ use crate::TrainError;
 use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
 use crate::scene_shift::{SceneShift, Shared};
-use crate::schedule::PACED_ITERATIONS;
 use crate::settings::{CameraSettings, DiscKind, Settings};
 use crate::survey::Survey;
 use crate::tensors::{constant, host, leaf};
@@ -33,6 +33,7 @@ use glam::DAffine3;
 use grown::grown;
 use layers::layered;
 use lens::Lens;
+use moments::Moments;
 use splat_core::{Exposed, Exposure, Extra, Movers, Splats, expose, render};
 use tracing::trace_span;
 
@@ -42,13 +43,6 @@ const LENS_TURN: f64 = 0.754_877_666_2;
 const LEAST_SAMPLES: usize = 3;
 /// Name of its table in checkpoints.
 const TABLE: &str = "camera.explained";
-/// Shares of a run, counted from the start of blur, after which other paths and none are tried on every frame…
-const TRIALS: [f64; 4] = [0.055, 0.165, 0.275, 0.42];
-/// … and how often at least every frame has been seen between two of them: where a run is too short for that, there are fewer…
-const VISITS: usize = 5;
-/// … and the last, with which lens and paths that do not pay go and the aperture is freed, is never later than so much of what blur
-/// has of the run.
-const LATEST_TRIAL: f64 = 2.0 / 3.0;
 
 /// Path, lens and pose of every frame, and when and how they are used.
 #[derive(Clone, Debug)]
@@ -70,33 +64,6 @@ pub struct CameraBlur {
     scene_size: f64,
     /// Depths between which most of the scene lies, near and far, scene units: discs are measured there.
     depth_range: [f64; 2],
-}
-
-/// Iterations after which something begins.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Moments {
-    /// Frames are exposed.
-    from: usize,
-    /// Other paths are tried on every frame.
-    trials: Vec<usize>,
-    /// The run is so short that focus has not come far by the first of them: every frame tries other distances then.
-    refocuses: bool,
-}
-
-impl Moments {
-    /// Of a run of n iterations on so many frames.
-    fn new(n: usize, num_frames: usize) -> Self {
-        let from = 250.min(n / 4);
-        let of_rest = |share: f64| (share * (n - from) as f64) as usize;
-        let (seen, latest) = (VISITS * num_frames, of_rest(LATEST_TRIAL));
-        let count = (latest / seen.max(1)).clamp(1, TRIALS.len());
-        let trial = |k: usize| from + of_rest(TRIALS[k]).max((k + 1) * seen).min(latest);
-        Self {
-            from,
-            trials: (0..count).map(trial).collect(),
-            refocuses: n < PACED_ITERATIONS,
-        }
-    }
 }
 
 /// What it keeps of a view that it showed.
@@ -424,31 +391,6 @@ impl CameraBlur {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn frames_are_seen_between_trials_in_short_runs_too() {
-        for n in [200, 500, 1000, 3000, 40_000] {
-            for frames in [1, 6, 16, 24, 60, 150, 300] {
-                let moments = Moments::new(n, frames);
-                let mut before = moments.from;
-                let (first, all) = (moments.trials[0], moments.trials.len());
-                for trial in moments.trials {
-                    assert!(
-                        all == 1 || trial - before >= VISITS * frames,
-                        "{n}: {trial} after {before}"
-                    );
-                    before = trial;
-                }
-                assert!(first > moments.from, "{n}, {frames}: blur comes first");
-                let left = n - before;
-                assert!(3 * left >= n - moments.from, "{n}, {frames}: {before}");
-            }
-        }
-        assert_eq!(Moments::new(3000, 24).trials, [401, 703, 1006, 1405]);
-        assert_eq!(Moments::new(3000, 150).trials, [1000, 1750]);
-        assert_eq!(Moments::new(500, 24).trials, [245, 365]);
-        assert_eq!(Moments::new(1000, 300).trials, [750]);
-    }
 
     /// The paths of some frames, [N, 12], once they are held; those of `unexplained` do not tell.
     fn held(paths: Vec<f64>, unexplained: Option<usize>) -> Vec<f64> {

@@ -100,7 +100,7 @@ impl CameraBlur {
             let mut best = (now[frame], own.clone());
             // A path that comes back on itself looks the same both ways, so that no gradient opens it.
             if f64::from(speed(&own)) < 0.3 * length {
-                let open = Ways::new(&own, 0, [0.7, 0.35].map(|times| times * length));
+                let open = Ways::new(&own, 0, &[0.7, 0.35], length);
                 self.search(world, look, &open, &mut best)?;
             }
             // Far worse than the others, or hardly moved: it does not leave a wrong direction by itself.
@@ -142,20 +142,13 @@ impl CameraBlur {
         let terms = self.settings.path_degree;
         let still = (f64::INFINITY, vec![0.0; terms * RIGID]);
         let mut search = |term: usize, times: &[f64], best: &mut (f64, Vec<f32>)| {
-            let lengths = times.iter().map(|times| times * length).collect();
-            let ways = Ways {
-                path: best.1.clone(),
-                term,
-                lengths,
-            };
-            self.search(world, look, &ways, best)
+            self.search(world, look, &Ways::new(&best.1, term, times, length), best)
         };
-        let mut led = still.clone();
-        search(0, &[1.0, 0.5, 2.0], &mut led)?;
+        let mut best = still.clone();
+        search(0, &[1.0, 0.5, 2.0], &mut best)?;
         for term in 1..terms {
-            search(term, &[2.0, 4.0], &mut led)?;
+            search(term, &[2.0, 4.0], &mut best)?;
         }
-        let mut best = led;
         if terms > 1 {
             let mut folded = still;
             search(1, &[4.0, 2.0, 8.0], &mut folded)?;
@@ -231,11 +224,12 @@ struct Ways {
 }
 
 impl Ways {
-    fn new<const N: usize>(path: &[f32], term: usize, lengths: [f64; N]) -> Self {
+    /// Lengths are so many `times` one.
+    fn new(path: &[f32], term: usize, times: &[f64], length: f64) -> Self {
         Self {
             path: path.to_vec(),
             term,
-            lengths: lengths.to_vec(),
+            lengths: times.iter().map(|times| times * length).collect(),
         }
     }
 
@@ -286,7 +280,7 @@ mod tests {
             (&bent, 2, 4),
             (&twisted, 0, 8),
         ] {
-            let ways = Ways::new(path, term, [0.2]);
+            let ways = Ways::new(path, term, &[1.0], 0.2);
             let tried: Vec<_> = ways.angles().map(|angle| ways.path(angle, 0.2)).collect();
             assert_eq!(tried.len(), tries, "{term}");
             let is_near = |one: &[f32], other: &[f32]| {

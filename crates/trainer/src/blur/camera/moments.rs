@@ -1,0 +1,68 @@
+//! When the camera's blur begins, and when trials are.
+
+use crate::schedule::PACED_ITERATIONS;
+
+/// Shares of a run, counted from the start of blur, after which other paths and none are tried on every frame…
+const TRIALS: [f64; 4] = [0.055, 0.165, 0.275, 0.42];
+/// … and how often at least every frame has been seen between two of them: where a run is too short for that, there are fewer…
+const VISITS: usize = 5;
+/// … and the last, with which lens and paths that do not pay go and the aperture is freed, is never later than so much of what blur
+/// has of the run.
+const LATEST_TRIAL: f64 = 2.0 / 3.0;
+
+/// Iterations after which something begins.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Moments {
+    /// Frames are exposed.
+    pub(super) from: usize,
+    /// Other paths are tried on every frame.
+    pub(super) trials: Vec<usize>,
+    /// The run is so short that focus has not come far by the first of them: every frame tries other distances then.
+    pub(super) refocuses: bool,
+}
+
+impl Moments {
+    /// Of a run of n iterations on so many frames.
+    pub(super) fn new(n: usize, num_frames: usize) -> Self {
+        let from = 250.min(n / 4);
+        let of_rest = |share: f64| (share * (n - from) as f64) as usize;
+        let (seen, latest) = (VISITS * num_frames, of_rest(LATEST_TRIAL));
+        let count = (latest / seen.max(1)).clamp(1, TRIALS.len());
+        let trial = |k: usize| from + of_rest(TRIALS[k]).max((k + 1) * seen).min(latest);
+        Self {
+            from,
+            trials: (0..count).map(trial).collect(),
+            refocuses: n < PACED_ITERATIONS,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_seen_between_trials_in_short_runs_too() {
+        for n in [200, 500, 1000, 3000, 40_000] {
+            for frames in [1, 6, 16, 24, 60, 150, 300] {
+                let moments = Moments::new(n, frames);
+                let mut before = moments.from;
+                let (first, all) = (moments.trials[0], moments.trials.len());
+                for trial in moments.trials {
+                    assert!(
+                        all == 1 || trial - before >= VISITS * frames,
+                        "{n}: {trial} after {before}"
+                    );
+                    before = trial;
+                }
+                assert!(first > moments.from, "{n}, {frames}: blur comes first");
+                let left = n - before;
+                assert!(3 * left >= n - moments.from, "{n}, {frames}: {before}");
+            }
+        }
+        assert_eq!(Moments::new(3000, 24).trials, [401, 703, 1006, 1405]);
+        assert_eq!(Moments::new(3000, 150).trials, [1000, 1750]);
+        assert_eq!(Moments::new(500, 24).trials, [245, 365]);
+        assert_eq!(Moments::new(1000, 300).trials, [750]);
+    }
+}
