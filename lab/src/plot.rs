@@ -1,6 +1,7 @@
 //! A report as a picture.
 
 use crate::error::LabError;
+use crate::plan::write_whole;
 use crate::report::{Report, Row, SceneTable};
 use crate::score::Score;
 use crate::statistics::{Summary, pareto_front};
@@ -41,11 +42,13 @@ pub fn draw(report: &Report, plot: &Plot, path: &Path) -> Result<bool, LabError>
     if tables.is_empty() {
         return Ok(false);
     }
+    let mut picture = String::new();
     let drawn = match x {
-        Some(x) => curves(report, &tables, (x, y), plot.front, path),
-        None => side_by_side(report, &tables, y, path),
+        Some(x) => curves(report, &tables, (x, y), plot.front, &mut picture),
+        None => side_by_side(report, &tables, y, &mut picture),
     };
     drawn.map_err(|e| LabError::content(path, e))?;
+    write_whole(path, &picture)?;
     Ok(true)
 }
 
@@ -78,14 +81,15 @@ fn with_error(s: &Summary) -> [f64; 3] {
 }
 
 /// Arms below each other, with their standard errors.
-fn side_by_side(report: &Report, tables: &[&SceneTable], y: usize, path: &Path) -> Drawn {
+fn side_by_side(report: &Report, tables: &[&SceneTable], y: usize, picture: &mut String) -> Drawn {
     let most = tables.iter().map(|t| t.rows.len()).max().unwrap_or(1);
     let height = 70 + ROW * u32::try_from(most).unwrap_or(1);
     let names = tables.iter().flat_map(|t| &t.rows);
     let longest = names.map(|row| row.arm.chars().count()).max().unwrap_or(1);
     let label = 16 + LETTER * i32::try_from(longest.min(60)).unwrap_or(60);
     let width = WIDTH + label.unsigned_abs();
-    let area = SVGBackend::new(path, size(tables.len(), (width, height))).into_drawing_area();
+    let size = size(tables.len(), (width, height));
+    let area = SVGBackend::with_string(picture, size).into_drawing_area();
     area.fill(&WHITE)?;
     for (panel, table) in panels(&area, tables.len()).iter().zip(tables) {
         let rows: Vec<&Row> = table.rows.iter().collect();
@@ -131,7 +135,7 @@ fn curves(
     tables: &[&SceneTable],
     (x, y): (usize, usize),
     front: bool,
-    path: &Path,
+    picture: &mut String,
 ) -> Drawn {
     let mut knobs: Vec<&str> = Vec::new();
     for row in tables.iter().flat_map(|table| &table.rows) {
@@ -140,7 +144,7 @@ fn curves(
         }
     }
     let (width, height) = size(tables.len(), (WIDTH, HEIGHT));
-    let area = SVGBackend::new(path, (width, height + 34 + 9 * knobs.len() as u32));
+    let area = SVGBackend::with_string(picture, (width, height + 34 + 9 * knobs.len() as u32));
     let area = area.into_drawing_area();
     area.fill(&WHITE)?;
     let (top, bottom) = area.split_vertically(height);

@@ -200,12 +200,18 @@ fn largest(
     Ok(low)
 }
 
-/// Tells behind the first iterations of a run, and of its part with blur, how long it will take.
+/// Tells behind the first iterations of a run, of its part with blur and of that behind its first trial how long it will take.
 pub(crate) struct Forecast {
     /// The iterations behind which these parts begin, the next one last.
     parts: Vec<usize>,
+    /// The iterations behind which there is a trial.
+    trials: Vec<usize>,
+    /// When the iteration before was over.
+    before: Option<Instant>,
     /// When the first iterations of the part were over.
     warm: Option<Instant>,
+    /// What the last trial took, seconds.
+    trial: f64,
     iterations: usize,
     /// What else there is to say behind the first part.
     memory: String,
@@ -213,23 +219,42 @@ pub(crate) struct Forecast {
 
 impl Forecast {
     /// Of a run as it is now.
-    pub(crate) fn new(trainer: &Trainer, memory: Option<u64>) -> Self {
-        let mut parts = vec![trainer.iteration()];
-        let blurred = trainer.schedule().blur_moments.first().copied();
-        parts.extend(blurred.filter(|from| *from > trainer.iteration() + WARM + TIMED));
+    pub(crate) fn new(trainer: &Trainer, memory: Option<u64>) -> Result<Self, Failure> {
+        let iterations = trainer.settings().iterations;
+        let memory = memory.map_or_else(String::new, |bytes| {
+            format!(", and {} MiB of memory at most", bytes >> 20)
+        });
+        let course = trainer.course(iterations)?;
+        Ok(Self::of(trainer.iteration(), iterations, course, memory))
+    }
+
+    /// Of a run of so many iterations that begins, or goes on, behind `done`.
+    fn of(done: usize, iterations: usize, course: Course, memory: String) -> Self {
+        let mut parts = vec![done];
+        let first_trial = course.trials.first().map(|trial| trial + 1);
+        for part in course.blurred_from.into_iter().chain(first_trial) {
+            if parts.last().is_some_and(|last| part > last + WARM + TIMED) {
+                parts.push(part);
+            }
+        }
         parts.reverse();
         Self {
             parts,
+            trials: course.trials,
+            before: None,
             warm: None,
-            iterations: trainer.settings().iterations,
-            memory: memory.map_or_else(String::new, |bytes| {
-                format!(", and {} MiB of memory at most", bytes >> 20)
-            }),
+            trial: 0.0,
+            iterations,
+            memory,
         }
     }
 
     /// After an iteration, at some moment: a line where there is something to tell.
     pub(crate) fn after(&mut self, iteration: usize, now: Instant) -> Option<String> {
+        let before = self.before.replace(now);
+        if self.trials.contains(&(iteration - 1)) {
+            self.trial = before.map_or(0.0, |before| (now - before).as_secs_f64());
+        }
         let part = *self.parts.last()?;
         if iteration == part + WARM {
             self.warm = Some(now);
@@ -239,17 +264,25 @@ impl Forecast {
         }
         self.parts.pop();
         let pace = (now - self.warm?).as_secs_f64() / TIMED as f64;
-        let left = duration(pace * self.iterations.saturating_sub(iteration) as f64);
+        let trials = self.trials.iter().filter(|trial| **trial >= iteration);
+        let iterating = pace * self.iterations.saturating_sub(iteration) as f64;
+        let left = duration(iterating + self.trial * trials.count() as f64);
         let threads = rayon::current_num_threads();
         let memory = std::mem::take(&mut self.memory);
+        let paced = format!("on {threads} threads, at {pace:.3} s an iteration");
         Some(match self.parts.last() {
-            Some(next) => format!(
-                "expects at least {left} on {threads} threads, more once blur is modelled (from iteration {} on){memory}",
+            Some(next) if !self.trials.contains(&(next - 1)) => format!(
+                "expects at least {left} {paced}, more once blur is modelled (from iteration {} on){memory}",
                 next + 1
             ),
-            None => format!(
-                "expects about {left} more on {threads} threads, at {pace:.3} s an iteration{memory}; --minutes M makes a run of M minutes"
+            Some(next) => format!(
+                "expects about {left} more {paced}, until a trial finds what blurs these frames (iteration {next}){memory}"
             ),
+            None => {
+                format!(
+                    "expects about {left} more {paced}{memory}; --minutes M makes a run of M minutes"
+                )
+            }
         })
     }
 }
@@ -319,19 +352,19 @@ mod tests {
     #[test]
     fn a_run_tells_what_it_will_take_once_a_part() {
         let start = Instant::now();
-        let mut forecast = Forecast {
-            parts: vec![250, 0],
-            warm: None,
-            iterations: 1000,
-            memory: String::new(),
-        };
+        let mut forecast = Forecast::of(0, 1000, course(1000), String::new());
         let mut now = start;
         let mut said = Vec::new();
         for it in 1..=1000 {
-            now += Duration::from_millis(if it <= 250 { 20 } else { 80 });
+            now += Duration::from_millis(match it {
+                ..=250 => 20,
+                251..=330 => 80,
+                331 => 4000,
+                _ => 50,
+            });
             said.extend(forecast.after(it, now).map(|line| (it, line)));
         }
-        assert_eq!(said.len(), 2, "{said:?}");
+        assert_eq!(said.len(), 3, "{said:?}");
         assert!(
             said[0].0 < 250 && said[0].1.contains("at least 20 s"),
             "{said:?}"
@@ -341,5 +374,14 @@ mod tests {
             said[1].0 > 250 && said[1].1.contains("about 58 s more"),
             "{said:?}"
         );
+        assert!(said[1].1.contains("iteration 331"), "{said:?}");
+        // 644 iterations, and another trial.
+        assert!(
+            said[2].0 > 331 && said[2].1.contains("about 36 s more"),
+            "{said:?}"
+        );
+        // What goes on behind all of that has one part.
+        let later = Forecast::of(600, 1000, course(1000), String::new());
+        assert_eq!(later.parts, [600]);
     }
 }

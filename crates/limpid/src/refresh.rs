@@ -21,17 +21,22 @@ pub(crate) fn is_current(out: &Path) -> bool {
         .is_some_and(|report| checkpoint.is_none_or(|saved| saved <= report))
 }
 
-/// Renders a run's last checkpoint and writes its report; `scene` is where the scene is now, if it has moved. Where the scene is not
-/// at hand, a report of the same iteration stays, with the blurry frames that it has.
+/// Renders a run's last checkpoint and writes its report, unless one [stays](stays); `scene` is where the scene is now, if it has moved.
 pub(crate) fn write(out: &Path, config: &Config, scene: Option<&Path>) -> Result<(), Failure> {
     let run = checkpoints::open(out, config)?;
     let scene = outputs::frames(&run, config, scene)?;
-    if scene.is_none() && reported(out) == Some(run.iteration()) {
+    if stays(out, &run, scene.is_some()) {
         return Ok(());
     }
     say!("writing {} …", out.join(report::FILE).display());
     let gallery = outputs::write_renders(&run, scene.as_ref(), &out.join("renders"))?;
     write_with(out, &run, &gallery)
+}
+
+/// Whether the report that is there is the better one: where the scene is not at hand, one of the same iteration has blurry frames that
+/// a new one would lack.
+pub(crate) fn stays(out: &Path, run: &Run, has_scene: bool) -> bool {
+    !has_scene && reported(out) == Some(run.iteration())
 }
 
 /// After how many iterations the report was written.

@@ -7,7 +7,6 @@ use crate::failure::Failure;
 use crate::moments::within;
 use crate::outputs;
 use crate::refresh;
-use crate::report;
 use crate::say::conclude;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -78,9 +77,8 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
     } else if arguments.at.is_empty() {
         let scene = outputs::frames(&run, &config, arguments.scene.as_deref())?;
         let gallery = outputs::write_renders(&run, scene.as_ref(), &out)?;
-        // Pictures for another folder are not the run's own, and a report keeps the blurry frames that it has.
-        let has_report = arguments.run.join(report::FILE).exists();
-        if arguments.out.is_none() && (scene.is_some() || !has_report) {
+        // Pictures for another folder are not the run's own.
+        if arguments.out.is_none() && !refresh::stays(&arguments.run, &run, scene.is_some()) {
             refresh::write_with(&arguments.run, &run, &gallery)?;
         }
     }

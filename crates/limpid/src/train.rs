@@ -149,7 +149,7 @@ impl Started {
         stop.unsaved();
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
-        let mut forecast = Forecast::new(trainer, memory::expected(trainer, config));
+        let mut forecast = Forecast::new(trainer, memory::expected(trainer, config))?;
         while !trainer.is_done() && !stop.is_asked() {
             let started = Instant::now();
             let step = trainer.step();

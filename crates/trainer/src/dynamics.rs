@@ -9,6 +9,7 @@ use crate::placement::{Seeds, lift, pixel_color};
 use crate::random::{Purpose, derived_seed, generator, sample};
 use crate::settings::Settings;
 use crate::tensors::{host, leaf};
+use crate::track_smoothing::best_window;
 use crate::world::{GaussianTensors, MotionModel, World};
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DMat3, DVec3};
@@ -36,7 +37,17 @@ pub(crate) fn start_dynamics(
     device: &Device,
     dtype: DType,
 ) -> Result<Option<DynamicStart>, TrainError> {
-    let tracks = lift_tracks(scene, settings.motion.max_tracks, settings.seed);
+    // Each becomes a Gaussian: with many frames they would be more than a picture can show, and leave no room for others.
+    let pixels = scene
+        .frames
+        .first()
+        .map_or(0, |f| f.view.camera.num_pixels());
+    let most = settings.motion.max_tracks.min(pixels);
+    let queries = scene.tracks.as_ref().map_or(&[][..], |t| &t.queries);
+    let window = (settings.motion.smooth_tracks)
+        .then(|| best_window(queries, scene.frames.len()))
+        .flatten();
+    let tracks = lift_tracks(scene, most, window, settings.seed);
     if tracks.colors.is_empty() {
         return Ok(None);
     }
@@ -145,7 +156,11 @@ pub(crate) fn start_dynamics(
     let scales = clamped_scales(&means);
     let colors = chosen.iter().map(|&p| init.tracks.colors[p]).collect();
     let note = format!(
-        "{kept} tracks, {bases} motion bases{} (`motion.num_bases` sets the most), canonical frame {canonical}, {} dynamic Gaussians",
+        "{kept} tracks{}, {bases} motion bases{} (`motion.num_bases` sets the most), canonical frame {canonical}, {} dynamic Gaussians",
+        window.map_or_else(String::new, |half_width| {
+            let frames = 2 * half_width + 1;
+            format!(", smoothed over {frames} frames (not with `motion.smooth_tracks = false`)")
+        }),
         if bases < init.num_motions {
             format!(
                 " (of {} motions that were told apart; tracks that were left out need no more)",

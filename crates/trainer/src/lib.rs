@@ -87,6 +87,8 @@ mod step;
 mod survey;
 mod tensors;
 mod track_motion;
+mod track_sample;
+mod track_smoothing;
 mod trainer;
 mod trajectory;
 mod true_kernels;

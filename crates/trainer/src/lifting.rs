@@ -1,16 +1,23 @@
 //! Lifts 2D tracks to 3D by depth: a point is where its pixel's ray meets the depth of the mover in that frame.
 
 use crate::random::{Purpose, generator, sample};
+use crate::track_sample::{confidence, is_sure, position, visibility};
+use crate::track_smoothing::smoothed;
 use crate::views::is_inside;
 use glam::{DVec2, DVec3};
-use io::{Frame, Map, QueryTracks, Scene, TrackSample};
+use io::{Frame, Map, Scene, TrackSample};
 use motion_bases::Tracks3d;
 
-/// Lifts at most `max_tracks` tracks, the same number from each query frame.
+/// Lifts at most `max_tracks` tracks, the same number from each query frame, smoothed over so many frames to either side.
 ///
 /// A track is *visible* in a frame where its visibility times confidence is over one half, it lies
 /// inside the mask, and all depth around it is known. Tracks that are seen too rarely are dropped.
-pub(crate) fn lift_tracks(scene: &Scene, max_tracks: usize, seed: u64) -> Tracks3d {
+pub(crate) fn lift_tracks(
+    scene: &Scene,
+    max_tracks: usize,
+    window: Option<usize>,
+    seed: u64,
+) -> Tracks3d {
     let n = scene.frames.len();
     let mut out = Tracks3d {
         num_frames: n,
@@ -31,7 +38,13 @@ pub(crate) fn lift_tracks(scene: &Scene, max_tracks: usize, seed: u64) -> Tracks
         let mut rng = generator(seed, Purpose::Tracks, query.frame as u64);
         let lifted: Vec<Lifted> = sample(&mut rng, count, share)
             .into_iter()
-            .map(|row| lift_track(scene, query, row))
+            .map(|row| {
+                let samples = &query.samples[row * n..(row + 1) * n];
+                match window {
+                    Some(half_width) => lift_track(scene, &smoothed(samples, half_width)),
+                    None => lift_track(scene, samples),
+                }
+            })
             .collect();
         let mut seen: Vec<usize> = lifted
             .iter()
@@ -43,15 +56,15 @@ pub(crate) fn lift_tracks(scene: &Scene, max_tracks: usize, seed: u64) -> Tracks
             .get(seen.len() / 10)
             .map_or(0, |&tenth| tenth.min(n / 20))
             .max(1);
-        for ((track, row), seen) in lifted.into_iter().zip(0..).zip(counts) {
+        for (track, seen) in lifted.into_iter().zip(counts) {
             if seen < least {
                 continue;
             }
-            let pixel = position(&query.samples[row * n + query.frame]);
             out.positions.extend(track.positions);
             out.visible.extend(track.visible);
             out.confidence.extend(track.confidence);
-            out.colors.push(sample_color(query_frame, pixel));
+            out.colors
+                .push(sample_color(query_frame, track.pixels[query.frame]));
         }
     }
     out
@@ -109,36 +122,26 @@ pub(crate) fn liftable(scene: &Scene) -> Liftable {
     found
 }
 
-/// Where a track is.
-pub(crate) fn position(sample: &TrackSample) -> DVec2 {
-    DVec2::new(f64::from(sample.x), f64::from(sample.y))
-}
-
-/// Whether the tracker says that a track is visible there, and is sure of the place.
-pub(crate) fn is_sure(sample: &TrackSample) -> bool {
-    (1.0 - sigmoid(sample.occlusion)) * (1.0 - sigmoid(sample.expected_distance)) > 0.5
-}
-
 /// Weights of a pixel's four neighbours sum to 1 only to rounding: a corner that hardly counts may lie outside.
 const LEAST_WEIGHT: f64 = 1e-4;
 
 struct Lifted {
+    pixels: Vec<DVec2>,
     positions: Vec<DVec3>,
     visible: Vec<bool>,
     confidence: Vec<f32>,
 }
 
-fn lift_track(scene: &Scene, query: &QueryTracks, row: usize) -> Lifted {
+fn lift_track(scene: &Scene, samples: &[TrackSample]) -> Lifted {
     let n = scene.frames.len();
-    let samples = &query.samples[row * n..(row + 1) * n];
     let mut lifted = Lifted {
+        pixels: samples.iter().map(position).collect(),
         positions: Vec::with_capacity(n),
         visible: Vec::with_capacity(n),
         confidence: Vec::with_capacity(n),
     };
     for (frame, s) in scene.frames.iter().zip(samples) {
-        let visible = 1.0 - sigmoid(s.occlusion);
-        let confident = 1.0 - sigmoid(s.expected_distance);
+        let (visible, confident) = (visibility(s), confidence(s));
         let pixel = position(s);
         let z = depth_inside_mask(frame, pixel);
         let is_visible = is_sure(s) && z.is_some();
@@ -161,10 +164,6 @@ fn lift_track(scene: &Scene, query: &QueryTracks, row: usize) -> Lifted {
         });
     }
     lifted
-}
-
-fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + (-x).exp())
 }
 
 /// The four pixels around a position, with their bilinear weights; indices are clamped to the picture.

@@ -18,6 +18,7 @@ pub struct Schedule {
     pub unseen_every: usize,
     /// The iterations after which the blur model starts or changes, its start first; none where blur is not modelled.
     pub blur_moments: Vec<usize>,
+    num_frames: usize,
     control_from: usize,
     control_until: usize,
     control_every: usize,
@@ -39,8 +40,10 @@ pub struct Modelled {
 }
 
 /// In runs that are shorter than this, Gaussians that move, paths and focus learn the faster the shorter the run is; in longer
-/// ones paths learn slower.
+/// ones paths learn slower…
 pub(crate) const PACED_ITERATIONS: usize = 3000;
+/// … where there are so many frames at most; of more, each is seen as rarely as in a shorter run.
+const PACED_FRAMES: usize = 24;
 /// The same of Gaussians that stand still. (RESULTS.md, "Static Gaussians learn faster", has what was seen.)
 const STATIC_PACED_ITERATIONS: usize = 12_000;
 /// For so many iterations they come closer at their whole rate; from then on what single frames leave in them counts for more.
@@ -69,6 +72,7 @@ impl Schedule {
             unseen_from: modelled.unseen.then(|| at(settings.unseen.from)),
             unseen_every: settings.unseen.every,
             blur_moments: modelled.blur_moments,
+            num_frames,
             control_from: at(settings.gaussians.control_from),
             control_until: at(settings.gaussians.control_until),
             control_every: at(settings.gaussians.control_every).max(num_frames).max(25),
@@ -173,14 +177,16 @@ impl Schedule {
         left.powi(2).max(final_share)
     }
 
-    /// Factor on the rate of paths, with x = 3,000 / iterations: `min(8, x)` in shorter runs, `x^1/2` in longer ones.
+    /// Factor on the rate of paths, with x = 3,000 / iterations, or with more than 24 frames x = 125 frames / iterations:
+    /// `min(8, x)` where that is more than one, else `x^1/2`.
     ///
     /// A frame is seen so rarely in a short run that its path has to come as far in fewer steps. In a long one, Adam steps by
     /// its rate however small the gradient is, so that a path that nothing holds walks at random, as far as the rate times the
     /// root of its steps; the scene goes with it.
     #[must_use]
     pub fn path_pace(&self) -> f64 {
-        let pace = self.pace(PACED_ITERATIONS);
+        let rarer = (self.num_frames as f64 / PACED_FRAMES as f64).max(1.0);
+        let pace = self.pace(PACED_ITERATIONS) * rarer;
         pace.max(pace.min(1.0).sqrt()).min(FASTEST_PATHS)
     }
 }
@@ -315,7 +321,19 @@ mod tests {
 
     #[test]
     fn gaussians_and_paths_come_as_far_in_short_runs_and_paths_walk_no_farther_in_long_ones() {
-        let pace = |n: usize| schedule(n, 24).path_pace();
+        let pace_of = |n: usize, frames: usize| schedule(n, frames).path_pace();
+        for (n, frames) in [(3000, 36), (3000, 93), (1500, 48), (40_000, 300)] {
+            let (seen, as_rarely) = (n * 24 / frames, pace_of(n, frames));
+            assert!(
+                (as_rarely / pace_of(seen, 24) - 1.0).abs() < 1e-3,
+                "{n}, {frames}"
+            );
+        }
+        assert!(
+            (pace_of(3000, 8) - 1.0).abs() < 1e-12,
+            "fewer frames are no slower"
+        );
+        let pace = |n: usize| pace_of(n, 24);
         let walk = |n: usize| pace(n) * (n as f64).sqrt();
         for n in [3000, 10_000, 40_000, 200_000] {
             assert!((walk(n) / walk(3000) - 1.0).abs() < 1e-12, "{n}");

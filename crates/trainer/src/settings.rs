@@ -157,8 +157,11 @@ pub struct MotionSettings {
     pub num_bases: usize,
     /// Whether there are only as many bases as the tracks themselves need, by cross-validation.
     pub fewest_bases: bool,
-    /// At most so many 2D tracks are lifted.
+    /// At most so many 2D tracks are lifted, and no more than a picture has pixels.
     pub max_tracks: usize,
+    /// Whether tracks are smoothed in time, over as many frames as foretell their positions best; where that says less than the
+    /// positions themselves, they stay as they are.
+    pub smooth_tracks: bool,
     /// Steps of the first fit of the bases to the tracks.
     pub first_fit_steps: usize,
     /// Whether dynamic Gaussians are densified once (paper, N_d).
@@ -176,6 +179,7 @@ impl Default for MotionSettings {
             num_bases: 20,
             fewest_bases: false,
             max_tracks: 40_000,
+            smooth_tracks: true,
             first_fit_steps: 1000,
             densify: true,
             densify_at: 2500,
@@ -416,6 +420,7 @@ impl Settings {
         settings.learning_rates.blur_final_share = 1.0;
         settings.learning_rates.blur_short_run_share = 1.0;
         settings.motion.when = When::Always;
+        settings.motion.smooth_tracks = false;
         settings.blur.model = BlurKind::Kernels;
         settings.blur.hold = 0;
         settings.blur.mild_start = false;

@@ -5,8 +5,8 @@
 //! standing still as from the best of them. So it tells what leaves its epipolar lines, and what stays on them but is seen where
 //! another depth would be.
 
-use crate::lifting::{is_sure, position};
 use crate::statistics::median;
+use crate::track_sample::{is_sure, position};
 use crate::views::{is_inside, pixel_index};
 use glam::{DAffine3, DVec2, DVec3};
 use io::{Frame, Map, QueryTracks, Scene};

@@ -2,9 +2,10 @@
 
 use super::finding::{Finding, Verdict};
 use super::fit::Fit;
-use crate::lifting::{Liftable, is_sure, liftable, position};
+use crate::lifting::{Liftable, liftable};
 use crate::placement::{dilate, pixels_at_256};
 use crate::statistics::median;
+use crate::track_sample::{is_sure, position};
 use crate::views::{is_inside, pixel_index, seen_at};
 use glam::DVec2;
 use io::Scene;
