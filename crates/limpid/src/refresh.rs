@@ -21,7 +21,7 @@ pub(crate) fn is_current(out: &Path) -> bool {
         .is_some_and(|report| checkpoint.is_none_or(|saved| saved <= report))
 }
 
-/// Renders a run's last checkpoint and writes its report, unless one [stays](stays); `scene` is where the scene is now, if it has moved.
+/// Renders a run's last checkpoint and writes its report, unless one [`stays`]; `scene` is where the scene is now, if it has moved.
 pub(crate) fn write(out: &Path, config: &Config, scene: Option<&Path>) -> Result<(), Failure> {
     let run = checkpoints::open(out, config)?;
     let scene = outputs::frames(&run, config, scene)?;
