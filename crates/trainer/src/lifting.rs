@@ -31,9 +31,9 @@ pub(crate) fn lift_tracks(
     };
     let share = max_tracks.div_ceil(tracks.queries.len().max(1));
     for query in &tracks.queries {
-        let Some(query_frame) = scene.frames.get(query.frame) else {
+        if query.frame >= n {
             continue;
-        };
+        }
         let count = query.samples.len() / n;
         let mut rng = generator(seed, Purpose::Tracks, query.frame as u64);
         let lifted: Vec<Lifted> = sample(&mut rng, count, share)
@@ -41,8 +41,8 @@ pub(crate) fn lift_tracks(
             .map(|row| {
                 let samples = &query.samples[row * n..(row + 1) * n];
                 match window {
-                    Some(half_width) => lift_track(scene, &smoothed(samples, half_width)),
-                    None => lift_track(scene, samples),
+                    Some(width) => lift_track(scene, &smoothed(samples, width), query.frame),
+                    None => lift_track(scene, samples, query.frame),
                 }
             })
             .collect();
@@ -63,8 +63,7 @@ pub(crate) fn lift_tracks(
             out.positions.extend(track.positions);
             out.visible.extend(track.visible);
             out.confidence.extend(track.confidence);
-            out.colors
-                .push(sample_color(query_frame, track.pixels[query.frame]));
+            out.colors.push(track.color);
         }
     }
     out
@@ -126,16 +125,17 @@ pub(crate) fn liftable(scene: &Scene) -> Liftable {
 const LEAST_WEIGHT: f64 = 1e-4;
 
 struct Lifted {
-    pixels: Vec<DVec2>,
+    color: [f32; 3],
     positions: Vec<DVec3>,
     visible: Vec<bool>,
     confidence: Vec<f32>,
 }
 
-fn lift_track(scene: &Scene, samples: &[TrackSample]) -> Lifted {
+/// A track in all frames; its colour is what the frame that it starts from shows.
+fn lift_track(scene: &Scene, samples: &[TrackSample], query: usize) -> Lifted {
     let n = scene.frames.len();
     let mut lifted = Lifted {
-        pixels: samples.iter().map(position).collect(),
+        color: sample_color(&scene.frames[query], position(&samples[query])),
         positions: Vec::with_capacity(n),
         visible: Vec::with_capacity(n),
         confidence: Vec::with_capacity(n),

@@ -74,21 +74,19 @@ pub(crate) fn smoothed(samples: &[TrackSample], half_width: usize) -> Vec<TrackS
         if around.len() < LEAST {
             continue;
         }
-        let mut counts = vec![1.0; around.len()];
-        let mut place = None;
-        for round in 0..=ROUNDS {
-            let Some(fit) = Fit::of(around, &counts, track[i].frame, half_width) else {
+        let frame = track[i].frame;
+        let through = |counts: &[f64]| Fit::of(around, counts, frame, half_width);
+        let Some(mut fit) = through(&vec![1.0; around.len()]) else {
+            continue;
+        };
+        for _ in 0..ROUNDS {
+            let Some(next) = through(&fit.counts(around)) else {
                 break;
             };
-            place = Some(fit.at(0.0));
-            if round < ROUNDS {
-                counts = fit.counts(around);
-            }
+            fit = next;
         }
-        if let Some(place) = place {
-            let sample = &mut out[track[i].frame];
-            (sample.x, sample.y) = (place.x as f32, place.y as f32);
-        }
+        let place = fit.at(0.0);
+        (out[frame].x, out[frame].y) = (place.x as f32, place.y as f32);
     }
     out
 }
