@@ -1,6 +1,7 @@
 //! What the tests that cross crates share: the one list of devices, the f64 gradient check, properties on random input, a tiny
 //! scene, a wall, and the cases of docs/NUMERICS.md.
 
+pub mod bodies;
 mod gradcheck;
 pub mod numerics;
 pub mod tiny;

@@ -149,7 +149,6 @@ pub fn settings() -> Settings {
     settings.unseen.when = When::Always;
     settings.blur.kernel_size = 5;
     settings.loss.intensity = 0.001;
-    settings.camera.lens = true;
     settings.frames.offsets = true;
     settings.frames.gains = When::Always;
     settings

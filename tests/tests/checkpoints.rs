@@ -120,13 +120,13 @@ fn another_format_is_named() {
     trainer().save(folder.path()).expect("saved");
     let file = folder.path().join(CHECKPOINT_FILE);
     let whole = fs::read(&file).expect("a file");
-    let key = br#"\"format\":7"#;
+    let key = br#"\"format\":8"#;
     let at = whole.windows(key.len()).position(|w| w == key);
     let at = at.expect("a format");
-    let reads = "this program reads 7";
+    let reads = "this program reads 8";
     for (other, said, and) in [
-        (br#"\"format\":6"#, "it has format 6", reads),
-        (br#"\"fromat\":7"#, "it has no format", reads),
+        (br#"\"format\":7"#, "it has format 7", reads),
+        (br#"\"fromat\":8"#, "it has no format", reads),
         // No version wrote this.
         (br#"\"format\":{"#, "it is damaged", "checksum"),
         (br#"\"format\":-"#, "it is damaged", "checksum"),

@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 use io::{Frame, Image, Map, Scene, View};
 use limpid_tests::{noise, quick_devices, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
-use trainer::settings::{BlurKind, DiscKind};
+use trainer::settings::{BlurKind, DiscKind, When};
 use trainer::{BlurFigures, CameraFigures, Settings, Trainer};
 
 const FRAMES: usize = 6;
@@ -146,23 +146,54 @@ fn a_lens_is_found_beside_paths_where_it_is() {
 
 #[test]
 fn what_the_first_trial_decides_is_said() {
+    use When::{Always, Auto, Never};
+    let motion_blur = ": motion blur is modelled, and no defocus";
     for (name, device) in quick_devices() {
-        let decided = |model, has_parts| {
-            let mut settings = settings(3000, model);
-            settings.camera.path = has_parts;
-            settings.camera.lens = has_parts;
-            behind_first_trial(scene(0.12, 0.0, &device), settings, &device).1
-        };
-        let [said] = &decided(BlurKind::Auto, true)[..] else {
-            panic!("{name}: one decision");
-        };
-        assert!(said.contains("the camera explains blur"), "{name}: {said}");
-        let [said] = &decided(BlurKind::Auto, false)[..] else {
-            panic!("{name}: one decision");
-        };
-        assert!(said.contains("no blur is modelled"), "{name}: {said}");
-        // What was asked for is not up to a trial.
-        assert_eq!(decided(BlurKind::Camera, true), [""; 0], "{name}");
+        for (shake, [path, lens], decision, stay) in [
+            (0.12, [Auto, Auto], motion_blur, [true, false]),
+            (0.0, [Auto, Auto], ": no blur is modelled", [false, false]),
+            (
+                0.12,
+                [Never, Never],
+                ": no blur is modelled",
+                [false, false],
+            ),
+            // What was asked for is not up to a trial.
+            (
+                0.12,
+                [Auto, Always],
+                ": motion blur and defocus are modelled",
+                [true, true],
+            ),
+            (0.0, [Always, Never], motion_blur, [true, false]),
+            (
+                0.0,
+                [Never, Always],
+                ": defocus is modelled, and no motion blur",
+                [false, true],
+            ),
+        ] {
+            let mut settings = settings(3000, BlurKind::Camera);
+            settings.camera.path = path;
+            settings.camera.lens = lens;
+            let (trainer, said) = behind_first_trial(scene(shake, 0.0, &device), settings, &device);
+            let told =
+                format!("{name}, shaken by {shake}, paths {path:?}, lens {lens:?}: {said:?}");
+            let [said] = &said[..] else {
+                panic!("not one decision: {told}");
+            };
+            assert!(said.contains(decision), "{told}");
+            let stays = match trainer.evaluate().expect("scores").blur {
+                Some(BlurFigures::Camera(CameraFigures {
+                    frames, aperture, ..
+                })) => [
+                    frames.iter().any(|frame| frame.blur_px > 0.0),
+                    aperture > 0.0,
+                ],
+                _ => [false, false],
+            };
+            assert_eq!(stays, stay, "{told}");
+        }
     }
 }
 
@@ -181,7 +212,7 @@ fn a_lens_is_found_by_whatever_makes_its_discs() {
                 disc == DiscKind::Layers,
                 "{told}"
             );
-            settings.camera.path = false;
+            settings.camera.path = When::Never;
             let scene = scene(0.0, 0.06, &device);
             let figures = camera_figures(&behind_first_trial(scene, settings, &device).0);
             let lens = figures.aperture > 0.0 && figures.frames.iter().all(|f| f.samples == 1);
@@ -195,7 +226,7 @@ fn a_lens_is_found_by_whatever_makes_its_discs() {
 fn before_a_lens_goes_its_focus_is_tried_out() {
     for (name, device) in quick_devices() {
         let mut settings = settings(200, BlurKind::Camera);
-        settings.camera.path = false;
+        settings.camera.path = When::Never;
         settings.camera.aperture = 0.09;
         settings.learning_rates.camera_focus = 0.0;
         // Gaussians that learn fast have sharpened under the lens by then, wrong as it is.
@@ -237,7 +268,7 @@ fn a_scene_that_is_soft_everywhere_has_no_lens_for_it() {
             soften(&mut frame.view.image);
         }
         let mut settings = settings(3000, BlurKind::Camera);
-        settings.camera.path = false;
+        settings.camera.path = When::Never;
         // Large enough that frames explained without it are too sharp, by a third of their error.
         settings.camera.aperture = 0.045;
         let (trainer, _) = behind_first_trial(scene, settings, &device);

@@ -33,7 +33,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 
 /// Version of the file's layout; others are refused.
-const FORMAT: u32 = 7;
+const FORMAT: u32 = 8;
 
 /// Pictures of a view may have so many pixels: a broken size must not ask for all memory.
 const MAX_PIXELS: usize = 1 << 28;

@@ -12,7 +12,6 @@ use crate::optimizer::learning_rate;
 use crate::parameter::Parameter;
 use crate::readings::Readings;
 use crate::run::Run;
-use crate::settings::BlurKind;
 use crate::tensors::host;
 use crate::trainer::Trainer;
 use crate::views::ViewRef;
@@ -176,16 +175,7 @@ impl Trainer {
         for (parameter, rows) in revision.changed {
             run.state.optimizer.zero_rows(&parameter, &rows);
         }
-        let is_open = run.plan.settings.blur.model == BlurKind::Auto;
-        let Some(worth) = revision.worth.filter(|_| is_open) else {
-            return Ok(None);
-        };
-        let decision = if worth.leaves_nothing() {
-            "neither pays, and no blur is modelled from here on (a longer run may find it; `--blur kernels` keeps a model)"
-        } else {
-            "the camera explains blur (`--blur both` has kernels on top)"
-        };
-        Ok(Some(format!("{worth}: {decision}")))
+        Ok(revision.parts.map(|parts| parts.to_string()))
     }
 
     /// Says where a number that is not finite arose: goes back through each loss term by itself. Costs as many backward passes

@@ -14,14 +14,14 @@ mod softness;
 mod taken;
 mod trials;
 
-pub(crate) use parts::Worth;
+pub(crate) use parts::Parts;
 pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 
 use crate::TrainError;
 use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
 use crate::scene_shift::{SceneShift, Shared};
-use crate::settings::{CameraSettings, DiscKind, Settings};
+use crate::settings::{CameraSettings, DiscKind, Settings, When};
 use crate::survey::Survey;
 use crate::tensors::{constant, host, leaf};
 use crate::views::{Views, pose_tensor, poses_of};
@@ -98,11 +98,11 @@ impl CameraBlur {
         let table = |values: Vec<f64>, shape| {
             Tensor::<2>::from_data(TensorData::new(values, shape), (device, dtype))
         };
-        if camera.path {
+        if camera.path != When::Never {
             capture.paths = table(paths, [focal.len(), width]);
             capture.shutter = table(vec![camera.shutter], [1, 1]);
         }
-        if camera.lens {
+        if camera.lens != When::Never {
             capture.aperture = table(vec![camera.aperture], [1, 1]);
         }
         let mut model = Self {
@@ -303,7 +303,7 @@ impl CameraBlur {
     /// that lies elsewhere shows, and of the turns about the optical axis and of the translations all that goes with the camera's
     /// place. (A path that a trial left out stays out.)
     pub(super) fn hold(&mut self, it: usize) {
-        if !self.settings.path || self.settings.path_degree < 2 || !self.is_on(it) {
+        if self.settings.path == When::Never || self.settings.path_degree < 2 || !self.is_on(it) {
             return;
         }
         let mut held = Capture {
@@ -370,14 +370,14 @@ impl CameraBlur {
             shutter,
         } = &mut self.capture;
         let mut all = Vec::new();
-        if self.settings.path {
+        if self.settings.path != When::Never {
             all.push((Parameter::new("camera.paths", Group::CameraPath), paths));
             all.push((
                 Parameter::new("camera.shutter", Group::CameraShutter),
                 shutter,
             ));
         }
-        if self.settings.lens {
+        if self.settings.lens != When::Never {
             all.push((Parameter::new("camera.focus", Group::CameraFocus), focus));
             all.push((
                 Parameter::new("camera.aperture", Group::CameraAperture),

@@ -1,5 +1,6 @@
 //! Settings of the blur models.
 
+use super::When;
 use serde::{Deserialize, Serialize};
 
 /// Where a path and a lens blur a frame, it is averaged from twice as many renders, but for that from no more than so many: a disc
@@ -68,10 +69,10 @@ impl Default for BlurSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraSettings {
-    /// Whether the camera moves while its shutter is open.
-    pub path: bool,
-    /// Whether it has a lens with an aperture and a focus.
-    pub lens: bool,
+    /// When the camera moves while its shutter is open: by default unless a trial finds that paths do not pay.
+    pub path: When,
+    /// When it has a lens with an aperture and a focus: by default unless a trial finds that it does not pay.
+    pub lens: When,
     /// What makes discs of what is out of focus.
     pub disc: DiscKind,
     /// Degree of the paths, 1 to 3.
@@ -102,8 +103,8 @@ impl CameraSettings {
 impl Default for CameraSettings {
     fn default() -> Self {
         Self {
-            path: true,
-            lens: true,
+            path: When::Auto,
+            lens: When::Auto,
             disc: DiscKind::Points,
             path_degree: 2,
             samples: 8,

@@ -1,6 +1,6 @@
 //! The range of every setting.
 
-use super::{DiscKind, Settings, TransferKind};
+use super::{DiscKind, Settings, TransferKind, When};
 use crate::TrainError;
 
 /// What a setting may be.
@@ -95,9 +95,9 @@ impl Settings {
             "1 to 3",
         );
         check(
-            c.disc != DiscKind::Layers || !c.path,
+            c.disc != DiscKind::Layers || c.path == When::Never,
             "camera.disc",
-            "`points` or `grown` where there are paths (`layers` wants camera.path = false)",
+            "`points` or `grown` where there are paths (`layers` wants camera.path = \"never\")",
         );
         check((2..=64).contains(&c.samples), "camera.samples", "2 to 64");
         if let TransferKind::Power(gamma) = c.transfer {

@@ -5,6 +5,7 @@ use super::drift::drift;
 use super::errors::total;
 use crate::TrainError;
 use crate::look::Look;
+use crate::settings::When;
 use crate::tensors::{host, set_row};
 use crate::world::World;
 use burn::tensor::Tensor;
@@ -30,25 +31,38 @@ const FOCUSES: usize = 5;
 
 /// By what share the error of all frames grows without the lens, and without the paths.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Worth {
+pub(super) struct Worth {
     lens: f64,
     paths: f64,
 }
 
-impl Worth {
-    /// Whether the trial left out both, so that nothing explains blur any more.
-    pub(crate) fn leaves_nothing(&self) -> bool {
-        let pays = self.lens > LENS_PAYS || self.paths > PATHS_PAY;
-        !pays
-    }
+/// Which parts a trial left in, and why.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Parts {
+    pub(super) worth: Worth,
+    pub(super) lens: bool,
+    pub(super) paths: bool,
 }
 
-impl fmt::Display for Worth {
+impl fmt::Display for Parts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [lens, paths] = [self.lens, self.paths].map(|worth| 100.0 * worth);
+        let [lens, paths] = [self.worth.lens, self.worth.paths].map(|worth| 100.0 * worth);
+        let decision = match (self.paths, self.lens) {
+            (true, true) => "motion blur and defocus are modelled",
+            (true, false) => {
+                "motion blur is modelled, and no defocus from here on (`camera.lens = \"always\"` keeps a lens)"
+            }
+            (false, true) => {
+                "defocus is modelled, and no motion blur from here on (`camera.path = \"always\"` keeps paths)"
+            }
+            (false, false) => {
+                "no blur is modelled from here on (a longer run may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
+                 and `--blur kernels` has another model)"
+            }
+        };
         write!(
             f,
-            "the error of the blurred frames changes by {lens:+.1} % without a lens and by {paths:+.1} % without paths"
+            "the error of the blurred frames changes by {lens:+.1} % without a lens and by {paths:+.1} % without paths: {decision}"
         )
     }
 }
@@ -84,7 +98,7 @@ impl CameraBlur {
         without.capture.aperture = self.capture.aperture.zeros_like();
         let (left, softer) = without.softer_frames_errors(world, looks)?;
         let worth = share_more(softer, &now);
-        let pays = worth > LENS_PAYS;
+        let pays = worth > LENS_PAYS || self.settings.lens == When::Always;
         if pays && !refocuses {
             return Ok((now, worth));
         }
@@ -124,7 +138,7 @@ impl CameraBlur {
         } else {
             PATHS_PAY
         };
-        if worth > limit {
+        if worth > limit || self.settings.path == When::Always {
             return Ok((now, worth));
         }
         *self = without;
@@ -183,32 +197,12 @@ impl CameraBlur {
     }
 }
 
-fn is_there(part: &Tensor<2>) -> bool {
+/// Whether any number of a part is not zero.
+pub(super) fn is_there(part: &Tensor<2>) -> bool {
     host(part.clone()).iter().any(|number| *number != 0.0)
 }
 
 /// By what share an error of all frames together is larger than theirs.
 fn share_more(error: f64, errors: &[f64]) -> f64 {
     error / total(errors) - 1.0
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Worth;
-
-    #[test]
-    fn nothing_is_left_where_neither_part_pays() {
-        for (lens, paths, leaves_nothing) in [
-            (0.085, 0.27, false),
-            (0.02, 0.6, false),
-            (0.15, 0.04, false),
-            (0.034, 0.08, false),
-            (0.034, 0.038, true),
-            (0.0, 0.0, true),
-            (f64::NAN, 0.01, true),
-        ] {
-            let worth = Worth { lens, paths };
-            assert_eq!(worth.leaves_nothing(), leaves_nothing, "{worth}");
-        }
-    }
 }

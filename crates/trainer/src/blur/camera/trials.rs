@@ -2,7 +2,7 @@
 //! run every frame tries others, with the Gaussians as they are, and keeps what explains it best.
 
 use super::CameraBlur;
-use super::parts::Worth;
+use super::parts::{Parts, is_there};
 use crate::TrainError;
 use crate::look::Look;
 use crate::statistics::median;
@@ -29,8 +29,8 @@ pub(in crate::blur) struct Revised {
     /// Frames whose path changed, and whose focus.
     pub(in crate::blur) paths: Vec<usize>,
     pub(in crate::blur) focuses: Vec<usize>,
-    /// What the parts were worth, at the first trial.
-    pub(in crate::blur) worth: Option<Worth>,
+    /// Which parts stay and what they were worth, at the first trial.
+    pub(in crate::blur) parts: Option<Parts>,
 }
 
 impl CameraBlur {
@@ -57,10 +57,11 @@ impl CameraBlur {
         let (mut now, worth) = trial.try_parts(&world, looks, refocuses)?;
         let focused = host(trial.capture.focus.clone());
         let focuses = (0..focus.len()).filter(|&i| focus[i] != focused[i]);
-        if self.settings.lens && last {
+        if last {
             now = trial.try_apertures(&world, looks, now)?;
         }
         let paths = trial.try_paths(&world, looks, &now, last)?;
+        let [lens, moves] = [&trial.capture.aperture, &trial.capture.paths].map(is_there);
         for ((_, own), (_, found)) in self
             .parameters_mut()
             .into_iter()
@@ -73,7 +74,11 @@ impl CameraBlur {
         Ok(Revised {
             paths,
             focuses: focuses.collect(),
-            worth: first.then_some(worth),
+            parts: first.then_some(Parts {
+                worth,
+                lens,
+                paths: moves,
+            }),
         })
     }
 
