@@ -192,6 +192,11 @@ impl Study {
                 return wrong(key, "at least one is needed".to_owned());
             }
         }
+        for (i, seed) in self.seeds.iter().enumerate() {
+            if self.seeds[..i].contains(seed) {
+                return wrong("seeds", format!("{seed} is there twice"));
+            }
+        }
         let mut names = BTreeSet::new();
         if self.baseline.is_none() {
             names.insert(BASELINE);
@@ -325,6 +330,17 @@ score = ["all"]
                 assert!(said.contains(part), "{more}: {said}");
             }
         }
+    }
+
+    #[test]
+    fn no_seed_counts_twice() {
+        let text = SMALL.replace("seeds = [1]", "seeds = [2, 1, 2]");
+        let said = Study::parse(&text, Path::new("s.toml")).expect_err("a mistake");
+        let said = said.to_string();
+        assert!(
+            said.contains("`seeds`") && said.contains("2 is there twice"),
+            "{said}"
+        );
     }
 
     #[test]

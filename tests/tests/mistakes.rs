@@ -192,6 +192,49 @@ fn no_mistake_is_passed_over() {
 }
 
 #[test]
+fn a_single_frame_that_is_elsewhere_is_named() {
+    let (_, demo) = scenes().swap_remove(0);
+    let name = demo.frames[3].view.name.clone();
+    let found = |change: &dyn Fn(&mut io::Frame)| {
+        let mut scene = demo.clone();
+        change(&mut scene.frames[3]);
+        let findings = check(&scene);
+        let single = findings.into_iter().find(|f| f.what == "single frames");
+        single.expect("a finding")
+    };
+    let right = found(&|_| ());
+    assert_eq!(right.verdict, Verdict::Pass, "{right:?}");
+    let pose = |change: fn(DAffine3) -> DAffine3| {
+        found(&move |frame| frame.view.cam_from_world = change(frame.view.cam_from_world))
+    };
+    for (what, wrong) in [
+        (
+            "far away",
+            pose(|pose| DAffine3::from_translation(DVec3::X * 100.0) * pose),
+        ),
+        ("turned", pose(|pose| DAffine3::from_rotation_y(0.3) * pose)),
+        ("upside down", pose(|pose| flip() * pose)),
+        (
+            "not turned",
+            pose(|pose| DAffine3::from_translation(pose.translation)),
+        ),
+    ] {
+        assert_eq!(wrong.verdict, Verdict::Doubtful, "{what}: {wrong:?}");
+        let said = wrong.text.starts_with(&format!("{name}: at its pose"));
+        assert!(said, "{what}: {wrong:?}");
+    }
+    let depth = found(&|frame| {
+        let values = &mut frame.depth.as_mut().expect("depth").values;
+        values.iter_mut().for_each(|z| *z = 1.0 / *z);
+    });
+    assert_eq!(depth.verdict, Verdict::Doubtful, "{depth:?}");
+    assert!(
+        depth.text.starts_with(&format!("{name}: by its depth")),
+        "{depth:?}"
+    );
+}
+
+#[test]
 fn movers_that_cannot_be_lifted_are_an_error_that_says_what_is_missing() {
     let (_, demo) = scenes().swap_remove(0);
     for nothing in [0.0, -1.0] {

@@ -78,6 +78,24 @@ pub(crate) fn list(folder: &Path, endings: &[&str]) -> Result<Listing, IoError> 
     Ok(listing)
 }
 
+/// As [`list`], where there may be none; files of other kinds alone are an error, since who put them there expects them to be used.
+pub(crate) fn list_optional(folder: &Path, endings: &[&str]) -> Result<Listing, IoError> {
+    let listing = list(folder, endings)?;
+    if listing.files.is_empty() && listing.others > 0 {
+        let what = format!(
+            "files: no {} among {}",
+            endings.join(" or "),
+            listing.others
+        );
+        return Err(IoError::missing(
+            folder,
+            what,
+            "convert them, or remove the folder to do without",
+        ));
+    }
+    Ok(listing)
+}
+
 /// A path or file name without folder and ending.
 pub(crate) fn stem_of(path: &str) -> &str {
     let name = path.rsplit(['/', '\\']).next().unwrap_or(path);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use glam::DAffine3;
 
 use crate::camera_model::Lens;
-use crate::folder::{Listing, PICTURES, list};
+use crate::folder::{Listing, PICTURES, list_optional};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions, Map, SparsePoint};
@@ -124,7 +124,7 @@ pub(crate) fn list_masks(folder: &Path, options: &LoadOptions) -> Result<Listing
     if options.static_scene {
         Ok(Listing::default())
     } else {
-        list(folder, PICTURES)
+        list_optional(folder, PICTURES)
     }
 }
 

@@ -1,6 +1,7 @@
 //! `limpid export`.
 
 use crate::checkpoints;
+use crate::claim::claimed;
 use crate::config::{Backend, Config};
 use crate::failure::Failure;
 use crate::moments::{Moments, within};
@@ -19,7 +20,7 @@ pub(crate) struct ExportArguments {
     /// What is written; several with commas between them.
     #[arg(long, value_name = "FORMAT", value_delimiter = ',', required = true)]
     format: Vec<Format>,
-    /// Folder for it [default: RUN/export].
+    /// Folder for it, new, empty or of an earlier time [default: RUN/export].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// The moment that ply, spz and glb hold, in training frames, may be fractional; may be given more than once
@@ -100,10 +101,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
     } else {
         &arguments.at
     };
-    let out = arguments
-        .out
-        .clone()
-        .unwrap_or_else(|| arguments.run.join("export"));
+    let out = claimed(arguments.out.as_deref(), &arguments.run, "export")?;
     let posed = |time| cut(run.model().gaussians(time), arguments.sh_degree);
     for format in &arguments.format {
         match format {

@@ -4,6 +4,7 @@ mod asked;
 mod budget;
 mod check;
 mod checkpoints;
+mod claim;
 mod clip;
 mod compare;
 mod config;

@@ -18,13 +18,16 @@ pub(crate) const METRICS_FILE: &str = "metrics.json";
 
 /// The names of a run's results in its folder, in the order in which they are removed: what tells a run goes last, so that a folder
 /// that is cleared half-way is still one.
-const RESULTS: [&str; 8] = [
+const RESULTS: [&str; 11] = [
     METRICS_FILE,
     log::LOG_FILE,
     report::FILE,
     report::SIDE_FILE,
     checkpoints::FOLDER,
-    "renders",
+    "renders/test",
+    "renders/train",
+    "renders/blurred",
+    "renders/blur.png",
     "scene.ply",
     CONFIG_FILE,
 ];
@@ -46,6 +49,9 @@ pub(crate) struct Metrics<'a> {
 /// Refuses a folder that holds another run's results, unless they are to be replaced; one that holds such names and no
 /// configuration of ours is left alone in any case.
 pub(crate) fn check_folder(out: &Path, replace: bool) -> Result<(), Failure> {
+    if out.symlink_metadata().is_ok() && !out.is_dir() {
+        return Err(format!("{} is no folder; choose another with --out", out.display()).into());
+    }
     let Some(name) = RESULTS.iter().find(|name| out.join(name).exists()) else {
         return Ok(());
     };
@@ -72,7 +78,7 @@ pub(crate) fn check_folder(out: &Path, replace: bool) -> Result<(), Failure> {
     .into())
 }
 
-/// Removes another run's results, but nothing else.
+/// Removes another run's results, but nothing else: clips and exports that were made of it stay.
 pub(crate) fn clear_folder(out: &Path) -> Result<(), Failure> {
     for path in RESULTS.map(|name| out.join(name)) {
         let removed = if path.is_dir() {

@@ -1,6 +1,7 @@
 //! `limpid render`.
 
 use crate::checkpoints;
+use crate::claim::claimed;
 use crate::clip::{self, ClipArguments};
 use crate::config::{Backend, Config};
 use crate::failure::Failure;
@@ -23,7 +24,7 @@ pub(crate) struct RenderArguments {
     /// Where tensors live [default: where they did in training].
     #[arg(long)]
     backend: Option<Backend>,
-    /// Folder for the pictures [default: RUN/renders].
+    /// Folder for the pictures, new, empty or of an earlier time [default: RUN/renders].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Take a picture at this time (training frames, may be fractional), from where the camera was then, instead of all
@@ -54,11 +55,7 @@ pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
         .at
         .iter()
         .try_for_each(|time| within(&run, "--at", *time))?;
-    let out = arguments
-        .out
-        .clone()
-        .unwrap_or_else(|| arguments.run.join("renders"));
-    std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
+    let out = claimed(arguments.out.as_deref(), &arguments.run, "renders")?;
     for &time in &arguments.at {
         let shot = Shot {
             time,

@@ -7,6 +7,7 @@
 mod depth;
 mod finding;
 mod fit;
+mod frames;
 mod masks;
 mod poses;
 mod reading;
@@ -24,6 +25,7 @@ pub fn check(scene: &Scene) -> Vec<Finding> {
     let mut findings = Vec::new();
     findings.extend(depth::check(&fits));
     findings.extend(poses::check(&fits));
+    findings.extend(frames::check(scene, &fits));
     findings.extend(moving_share.and_then(|share| masks::check(share, &fits)));
     findings.extend(tracks::check(scene, &fits));
     findings

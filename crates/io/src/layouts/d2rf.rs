@@ -18,7 +18,7 @@
 use std::path::Path;
 
 use super::stereo::{CENTERED, Cameras, points, truth};
-use crate::folder::{Listing, PICTURES, list};
+use crate::folder::{Listing, PICTURES, list, list_optional};
 use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, list_masks};
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
@@ -48,7 +48,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
 
     let preprocessed = root.join("flow3d_preprocessed");
     let depth_at = preprocessed.join("aligned_depth_anything_colmap");
-    let depth = list(&depth_at, &["npy"])?.files;
+    let depth = list_optional(&depth_at, &["npy"])?.files;
     if depth.is_empty() && root.join("dpt").is_dir() {
         notes.push(
             "dpt/ is not read: its disparity is relative, and nothing says by which scale and shift".into(),

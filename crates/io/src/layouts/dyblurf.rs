@@ -20,7 +20,7 @@
 use std::path::{Path, PathBuf};
 
 use super::stereo::{CENTERED, Cameras, points, truth};
-use crate::folder::{Listing, PICTURES, list};
+use crate::folder::{Listing, PICTURES, list, list_optional};
 use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, list_masks};
 use crate::tracks::TrackFiles;
 use crate::{IoError, LoadOptions};
@@ -47,7 +47,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     }
 
     let depth_at = root.join("align_uni_depth_noclip");
-    let depth = list(&depth_at, &["npy"])?.files;
+    let depth = list_optional(&depth_at, &["npy"])?.files;
     if depth.is_empty() && root.join("disp").is_dir() {
         notes.push(
             "disp/ is not read: its disparity is relative, and nothing says by which scale and shift".into(),

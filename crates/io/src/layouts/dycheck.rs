@@ -24,7 +24,7 @@ use splat_core::Camera;
 
 use crate::camera_model::{Distortion, Lens};
 use crate::colmap::{Model, find_model, read_model};
-use crate::folder::{PICTURES, list, stem_of};
+use crate::folder::{PICTURES, list, list_optional, stem_of};
 use crate::json::read_json;
 use crate::plan::{
     DepthFile, Layout, MaskFile, Picture, Plan, PlannedFrame, PlannedView, list_masks, time_between,
@@ -110,7 +110,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         ),
     };
     notes.push(note.to_owned());
-    let depth = list(&depth_at, &["npy"])?.files;
+    let depth = list_optional(&depth_at, &["npy"])?.files;
     let masks_at = preprocessed.join("track_anything").join(&size);
     let masks = list_masks(&masks_at, options)?.files;
 

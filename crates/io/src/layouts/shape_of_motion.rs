@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use pairing::pair;
 
 use crate::colmap::{find_model, read_model};
-use crate::folder::{Listing, PICTURES, list};
+use crate::folder::{Listing, PICTURES, list, list_optional};
 use crate::plan::{DepthFile, Layout, MaskFile, Plan, PlannedFrame, list_masks};
 use crate::scene::TruthFolders;
 use crate::tracks::TrackFiles;
@@ -52,7 +52,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     let pairing = pair(&stems, &test_stems, &model, &mut notes)?;
 
     let depth_at = preprocessed.join("aligned_depth_anything_colmap");
-    let depth = list(&depth_at, &["npy"])?;
+    let depth = list_optional(&depth_at, &["npy"])?;
     let depth = optional(&depth, &stems, &depth_at, "disparity of")?;
     let masks_at = root.join("masks");
     let masks = list_masks(&masks_at, options)?;

@@ -27,6 +27,27 @@ fn empty_masks_are_no_masks() {
 }
 
 #[test]
+fn files_of_other_kinds_are_not_passed_over() {
+    for (folder, file) in [
+        ("masks", "00000.npy"),
+        (
+            "flow3d_preprocessed/aligned_depth_anything_colmap",
+            "00000.png",
+        ),
+    ] {
+        let som = Som::new();
+        som.remove(folder);
+        fs::create_dir_all(som.path(folder)).unwrap();
+        fs::write(som.path(&format!("{folder}/{file}")), "not looked at").unwrap();
+        let said = Scene::open(som.root()).unwrap_err().to_string();
+        assert!(
+            said.contains(folder) && said.contains("convert them"),
+            "{said}"
+        );
+    }
+}
+
+#[test]
 fn masks_of_zero_and_one_are_stretched() {
     let som = Som::new();
     for i in 0..FRAMES {

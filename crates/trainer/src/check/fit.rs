@@ -22,6 +22,8 @@ const SPARSE: usize = 17;
 const LEAST_SHARED: f64 = 0.1;
 /// Frames that are moved to where they differ more, by this factor, than unmoved ones are moved by no rule at all.
 const NOT_AT_ALL: f64 = 2.0;
+/// Pixels that go less far say nothing of poses, px.
+const LEAST_SHIFT: f64 = 1.0;
 /// A reading that disagrees by less than this share of another is clearly better.
 const CLEARLY: f64 = 0.7;
 /// Masks that cover more of the pictures than this rather show what is still.
@@ -55,6 +57,13 @@ pub(super) struct WarpFit {
     pub(super) moving: Option<f64>,
     /// How far pixels go at the median, px.
     pub(super) shift_px: f64,
+}
+
+impl WarpFit {
+    /// Pixels go far enough to say something of poses.
+    pub(super) fn tells_poses(&self) -> bool {
+        self.shift_px >= LEAST_SHIFT
+    }
 }
 
 /// How points, projected into the frames, have the pictures' colours.
@@ -299,39 +308,11 @@ fn pairs(num_frames: usize, most: usize) -> Vec<(usize, usize)> {
 }
 
 fn fit_warp(scene: &Scene, fit: &Fit, most_pairs: usize) -> Option<WarpFit> {
-    let pixels = scene.frames.first()?.view.camera.num_pixels();
-    let step = pixels.div_ceil(LOOKED_UP).isqrt().max(1);
-    let (mut count, mut still, mut unwarped, mut moving) = (0, [0.0; 2], [0.0; 2], [0.0; 2]);
-    let mut shifts = Vec::new();
+    let (mut count, mut sums, mut shifts) = (0, Moved::default(), Vec::new());
     for (a, b) in pairs(scene.frames.len(), most_pairs) {
-        let (from, to) = (&scene.frames[a], &scene.frames[b]);
-        let other_from_camera = fit.pose(scene, b) * fit.pose(scene, a).inverse();
-        let depth = |i: usize| fit.depth(scene, a, i);
-        let seen: Vec<_> = seen_in(
-            &from.view.camera,
-            depth,
-            &to.view.camera,
-            other_from_camera,
-            step,
-        )
-        .collect();
-        if (seen.len() * step * step) as f64 <= LEAST_SHARED * pixels as f64 {
-            continue;
-        }
-        count += 1;
-        for seen in seen {
-            let own = pixel_color(from, seen.pixel);
-            let warped = difference(own, sample_color(to, seen.at));
-            if fit.reading.moves(from, seen.pixel) {
-                moving = [moving[0] + 1.0, moving[1] + warped];
-                continue;
-            }
-            still = [still[0] + 1.0, still[1] + warped];
-            unwarped = [
-                unwarped[0] + 1.0,
-                unwarped[1] + difference(own, sample_color(to, seen.center)),
-            ];
-            shifts.push(seen.at.distance(seen.center));
+        if let Some(moved) = moved(scene, fit, a, b, &mut shifts) {
+            count += 1;
+            sums.add(&moved);
         }
     }
     if count == 0 && has_depth(scene) && scene.frames.len() > 1 {
@@ -342,15 +323,81 @@ fn fit_warp(scene: &Scene, fit: &Fit, most_pairs: usize) -> Option<WarpFit> {
             shift_px: f64::INFINITY,
         });
     }
-    let mean = |sum: [f64; 2]| sum[1] / sum[0];
-    let enough = |sum: [f64; 2]| sum[0] >= MIN_POINTS as f64;
-    if count == 0 || !enough(still) || mean(unwarped) <= 0.0 {
-        return None;
-    }
+    let ratio = sums.ratio().filter(|_| count > 0)?;
+    let still = mean(sums.still);
+    let moves = sums.moving[0] >= MIN_POINTS as f64 && still > 0.0;
     Some(WarpFit {
         pairs: count,
-        ratio: mean(still) / mean(unwarped),
-        moving: (enough(moving) && mean(still) > 0.0).then(|| mean(moving) / mean(still)),
+        ratio,
+        moving: moves.then(|| mean(sums.moving) / still),
         shift_px: median(&shifts),
     })
+}
+
+/// Differences of a frame's pixels to the places of another where depth and poses have them: how many, and their sum.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Moved {
+    /// Where the mask says that things stand still.
+    still: [f64; 2],
+    /// The same pixels, to their own places in the other frame.
+    unmoved: [f64; 2],
+    /// Where it says that they move.
+    moving: [f64; 2],
+}
+
+impl Moved {
+    fn add(&mut self, other: &Self) {
+        for (own, others) in [
+            (&mut self.still, other.still),
+            (&mut self.unmoved, other.unmoved),
+            (&mut self.moving, other.moving),
+        ] {
+            *own = [own[0] + others[0], own[1] + others[1]];
+        }
+    }
+
+    /// Difference to the other frame, as a share of that of the unmoved frame; `None` where there is too little to tell.
+    pub(super) fn ratio(&self) -> Option<f64> {
+        let tells = self.still[0] >= MIN_POINTS as f64 && mean(self.unmoved) > 0.0;
+        tells.then(|| mean(self.still) / mean(self.unmoved))
+    }
+}
+
+fn mean([count, sum]: [f64; 2]) -> f64 {
+    sum / count
+}
+
+/// Moves a frame to another by depth and pose, and adds how far pixels go, px, to `shifts`; `None` where the other has hardly
+/// anything of it in its picture.
+pub(super) fn moved(
+    scene: &Scene,
+    fit: &Fit,
+    a: usize,
+    b: usize,
+    shifts: &mut Vec<f64>,
+) -> Option<Moved> {
+    let (from, to) = (&scene.frames[a], &scene.frames[b]);
+    let pixels = from.view.camera.num_pixels();
+    let step = pixels.div_ceil(LOOKED_UP).isqrt().max(1);
+    let other_from_camera = fit.pose(scene, b) * fit.pose(scene, a).inverse();
+    let depth = |i: usize| fit.depth(scene, a, i);
+    let (camera, other) = (&from.view.camera, &to.view.camera);
+    let seen: Vec<_> = seen_in(camera, depth, other, other_from_camera, step).collect();
+    if (seen.len() * step * step) as f64 <= LEAST_SHARED * pixels as f64 {
+        return None;
+    }
+    let mut sums = Moved::default();
+    for seen in seen {
+        let own = pixel_color(from, seen.pixel);
+        let warped = difference(own, sample_color(to, seen.at));
+        if fit.reading.moves(from, seen.pixel) {
+            sums.moving = [sums.moving[0] + 1.0, sums.moving[1] + warped];
+            continue;
+        }
+        let unwarped = difference(own, sample_color(to, seen.center));
+        sums.still = [sums.still[0] + 1.0, sums.still[1] + warped];
+        sums.unmoved = [sums.unmoved[0] + 1.0, sums.unmoved[1] + unwarped];
+        shifts.push(seen.at.distance(seen.center));
+    }
+    Some(sums)
 }

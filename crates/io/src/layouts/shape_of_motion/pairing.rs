@@ -24,6 +24,8 @@ pub(super) struct Pairing {
 ///   2 i + 1 right (also written `{i}_left` and `{i}_right`), and training frames are left. The files
 ///   are numbered by the instant, i, or as in the model. Files whose names are no numbers count in
 ///   their order.
+/// - Without test pictures, whose numbers would tell the two apart, files have the cameras of their own names where all of them are
+///   in the model: a video that was cut after its poses were found looks the same.
 /// - Anything else is an error with the difference.
 pub(super) fn pair(
     stems: &[String],
@@ -59,6 +61,18 @@ pub(super) fn pair(
     if beyond.is_empty() {
         let difference = format!("no camera for {} of images/", list_names(&without));
         return Err(IoError::names(&model.images_path, difference));
+    }
+
+    if without.is_empty() && test_stems.is_empty() {
+        notes.push(format!(
+            "{} images of the COLMAP model are not in images/: frames have the cameras of their own names (where the model has \
+             stereo pairs, numbered 2 i and 2 i + 1, call the frames i_left, or give images_test/)",
+            beyond.len()
+        ));
+        return Ok(Pairing {
+            training: stems.iter().map(|s| by_stem[s.as_str()]).collect(),
+            test: Vec::new(),
+        });
     }
 
     let mut by_number = BTreeMap::new();
@@ -248,7 +262,19 @@ mod tests {
             both
         );
         assert_eq!(paired(&["a", "b"], &["a", "b"], &names), both);
-        assert_eq!(paired(&["00000", "00001"], &[], &names), is(&[0, 2], &[]));
+        // Without test views only what the names say.
+        assert_eq!(paired(&["0_left", "1_left"], &[], &names), is(&[0, 2], &[]));
+        assert_eq!(paired(&["a", "b"], &[], &names), is(&[0, 2], &[]));
+        assert_eq!(paired(&["00000", "00001"], &[], &names), is(&[0, 1], &[]));
+    }
+
+    #[test]
+    fn a_video_that_was_cut_keeps_its_cameras() {
+        let names = ["0.png", "1.png", "2.png", "3.png", "4.png", "5.png"];
+        assert_eq!(paired(&["0", "1", "2"], &[], &names), is(&[0, 1, 2], &[]));
+        assert_eq!(paired(&["2", "3"], &[], &names), is(&[2, 3], &[]));
+        let names = ["a.png", "b.png"];
+        assert_eq!(paired(&["b"], &[], &names), is(&[1], &[]));
     }
 
     #[test]
@@ -277,7 +303,7 @@ mod tests {
             text.contains("cameras 00007 without a file in images_test/"),
             "{text}"
         );
-        let text = error(&["a"], &[], &["a.png", "b.png"]);
+        let text = error(&["a"], &["a"], &["a.png", "b.png"]);
         assert!(text.contains("b are in the model"), "{text}");
         let text = error(&["a"], &[], &["x/a.png", "y/a.png"]);
         assert!(text.contains("two images"), "{text}");
