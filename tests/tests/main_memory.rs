@@ -20,11 +20,13 @@ fn peak() -> u64 {
 fn what_a_run_takes_is_estimated_within_a_factor_of_two() {
     let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("../demo");
     // The smaller first: what is given back stays with the process.
-    for (downscale, blur) in [
-        (2, BlurKind::Camera),
-        (2, BlurKind::Kernels),
-        (1, BlurKind::Camera),
-        (1, BlurKind::Kernels),
+    for (downscale, blur, samples) in [
+        (2, BlurKind::Camera, 8),
+        (2, BlurKind::Kernels, 8),
+        (1, BlurKind::Camera, 8),
+        (1, BlurKind::Kernels, 8),
+        // As where a path and a lens blur frames, and more.
+        (1, BlurKind::Both, 32),
     ] {
         let options = LoadOptions {
             downscale,
@@ -36,16 +38,18 @@ fn what_a_run_takes_is_estimated_within_a_factor_of_two() {
             ..Settings::default()
         };
         settings.blur.model = blur;
+        settings.camera.samples = samples;
+        settings.camera.spacing_px = 0.1;
         let mut trainer = Trainer::new(scene, settings, &Device::flex()).expect("a trainer");
         // Blur begins after 50 iterations.
-        for _ in 0..80 {
+        for _ in 0..60 {
             trainer.step().expect("a step");
         }
         let need = trainer.memory_need(trainer.model().num_gaussians());
         let (need, took) = (need.total() as f64, peak() as f64);
         assert!(
             (0.5..2.0).contains(&(need / took)),
-            "{blur:?} at 1/{downscale}: {need} said, {took} taken"
+            "{blur:?} at 1/{downscale}, {samples} renders: {need} said, {took} taken"
         );
     }
 }

@@ -180,10 +180,15 @@ impl Config {
     /// An error if these options ask for other pictures than a run's own; the scene may have moved, to another device too.
     pub(crate) fn check_reading(&self, asked: &RunOptions) -> Result<(), Failure> {
         let said = |options: &RunOptions| {
+            let images = options.images.as_deref();
             [
-                ("images", format!("{:?}", options.images)),
+                (
+                    "images",
+                    images.map_or_else(|| "not set".to_owned(), |path| path.display().to_string()),
+                ),
                 ("downscale", options.factor().to_string()),
                 ("static", options.is_static.to_string()),
+                ("distortion", options.distortion.name().to_owned()),
             ]
         };
         for ((key, here), (_, there)) in said(asked).into_iter().zip(said(&self.run)) {

@@ -71,7 +71,7 @@ pub enum TrainError {
     },
     /// Nothing was saved.
     #[error(
-        "no checkpoint was saved in {} yet: there is nothing to go on from; the same command with --force in the place of --resume starts anew",
+        "no checkpoint was saved in {} yet: there is nothing to go on from or to show; `limpid train` with --force and without --resume starts anew",
         folder.display()
     )]
     NoCheckpoint {

@@ -7,6 +7,8 @@ use crate::trainer::Trainer;
 const PROGRAM: u64 = 40 << 20;
 /// Of a Gaussian: its 59 numbers, their gradients and moments, and what an iteration makes of each.
 const GAUSSIAN: u64 = 2400;
+/// The same for each render that a frame is averaged from.
+const EXPOSED_GAUSSIAN: u64 = 100;
 /// Of a pixel that is rendered and compared, and goes back.
 const PIXEL: u64 = 300;
 /// Of a pixel that BP-Net sees: its layers, and their gradients.
@@ -74,6 +76,10 @@ impl Trainer {
         let tracks = scene.tracks.iter().flat_map(|tracks| &tracks.queries);
         let tracks = tracks.map(|query| floats(4 * query.samples.len()));
         let blur = &plan.settings.blur;
+        let renders = match self.run.model().blur {
+            BlurModel::Off | BlurModel::Kernels(_) => 0,
+            BlurModel::Camera(_) | BlurModel::Both(_) => plan.settings.camera.samples as u64,
+        };
         let kernels = match self.run.model().blur {
             BlurModel::Off | BlurModel::Camera(_) => 0,
             BlurModel::Kernels(_) | BlurModel::Both(_) => {
@@ -89,7 +95,7 @@ impl Trainer {
                 .chain(unseen)
                 .chain(tracks)
                 .sum(),
-            gaussians: GAUSSIAN * gaussians as u64,
+            gaussians: (GAUSSIAN + EXPOSED_GAUSSIAN * renders) * gaussians as u64,
             view: pixels * (PIXEL + kernels),
         }
     }

@@ -195,7 +195,11 @@ fn order_by_time(
     }
     let far = |e: &&&Entry| e.time.is_some_and(|t| t.abs() > f64::from(f32::MAX));
     if let Some(entry) = training.iter().chain(test).find(far) {
-        let what = format!("{} has time {:?}", entry.file_path, entry.time);
+        let what = format!(
+            "{} has time {:e}",
+            entry.file_path,
+            entry.time.unwrap_or_default()
+        );
         return Err(IoError::malformed(path, what));
     }
     let times: Vec<f64> = training.iter().filter_map(|e| e.time).collect();
