@@ -228,7 +228,7 @@ fn a_run_that_was_killed_before_its_first_checkpoint_starts_anew() -> Outcome {
     assert!(!said.contains("--resume"), "{said}");
     let said = refusal(&["train", "--resume", "--out", path(&out)])?;
     assert!(
-        said.contains("no checkpoint was saved") && said.contains("--force in the place of"),
+        said.contains("no checkpoint was saved") && said.contains("--force and without --resume"),
         "{said}"
     );
     let (anew, _lines) = start(&out, &["--force"])?;

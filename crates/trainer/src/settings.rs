@@ -3,11 +3,13 @@
 mod blur;
 mod meanings;
 mod ranges;
+mod when;
 
 pub(crate) use ranges::LEAST_ITERATIONS;
 
 pub use blur::{BlurKind, BlurSettings, CameraSettings, DiscKind, TransferKind};
 pub use meanings::Meaning;
+pub use when::When;
 
 use serde::{Deserialize, Serialize};
 
@@ -184,31 +186,6 @@ impl Default for MotionSettings {
             densify: true,
             densify_at: 2500,
             densify_per_frame: 1000,
-        }
-    }
-}
-
-/// When something is used that not every scene requires.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum When {
-    /// Where the scene requires it.
-    #[default]
-    Auto,
-    /// Always.
-    Always,
-    /// Never.
-    Never,
-}
-
-impl When {
-    /// Whether it is used where a scene requires it or does not.
-    #[must_use]
-    pub fn holds(self, required: bool) -> bool {
-        match self {
-            Self::Auto => required,
-            Self::Always => true,
-            Self::Never => false,
         }
     }
 }

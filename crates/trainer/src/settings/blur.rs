@@ -1,6 +1,6 @@
 //! Settings of the blur models.
 
-use super::When;
+use super::when::When;
 use serde::{Deserialize, Serialize};
 
 /// Where a path and a lens blur a frame, it is averaged from twice as many renders, but for that from no more than so many: a disc
