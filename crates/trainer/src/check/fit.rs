@@ -23,7 +23,7 @@ const LEAST_SHARED: f64 = 0.1;
 /// Frames that are moved to where they differ more, by this factor, than unmoved ones are moved by no rule at all.
 const NOT_AT_ALL: f64 = 2.0;
 /// Pixels that go less far say nothing of poses, px.
-const LEAST_SHIFT: f64 = 1.0;
+pub(super) const LEAST_SHIFT: f64 = 1.0;
 /// A reading that disagrees by less than this share of another is clearly better.
 const CLEARLY: f64 = 0.7;
 /// Masks that cover more of the pictures than this rather show what is still.
@@ -57,13 +57,6 @@ pub(super) struct WarpFit {
     pub(super) moving: Option<f64>,
     /// How far pixels go at the median, px.
     pub(super) shift_px: f64,
-}
-
-impl WarpFit {
-    /// Pixels go far enough to say something of poses.
-    pub(super) fn tells_poses(&self) -> bool {
-        self.shift_px >= LEAST_SHIFT
-    }
 }
 
 /// How points, projected into the frames, have the pictures' colours.

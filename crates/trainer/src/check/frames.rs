@@ -2,7 +2,8 @@
 //! show.
 
 use super::finding::{Finding, Verdict};
-use super::fit::{Fit, moved};
+use super::fit::{Fit, LEAST_SHIFT, moved};
+use crate::statistics::median;
 use io::Scene;
 
 /// Frames are held against so many before and as many behind them.
@@ -31,9 +32,12 @@ fn misfits(scene: &Scene, fit: &Fit) -> Vec<Misfit> {
     for a in (0..count).filter(|a| scene.frames[*a].depth.is_some()) {
         let around = a.saturating_sub(NEIGHBOURS)..(a + NEIGHBOURS + 1).min(count);
         for b in around.filter(|b| *b != a) {
-            // What the other has nothing of in its picture fits worse than anything.
-            let ratio = match moved(scene, fit, a, b, &mut Vec::new()) {
+            let mut shifts = Vec::new();
+            let ratio = match moved(scene, fit, a, b, &mut shifts) {
+                // Where a camera rests, moved and unmoved frames are the same, and nothing is wrong.
+                Some(_) if shifts.is_empty() || median(&shifts) < LEAST_SHIFT => Some(0.0),
                 Some(moved) => moved.ratio(),
+                // What the other has nothing of in its picture fits worse than anything.
                 None => Some(f64::INFINITY),
             };
             let Some(ratio) = ratio else { continue };
@@ -48,7 +52,7 @@ fn misfits(scene: &Scene, fit: &Fit) -> Vec<Misfit> {
 pub(super) fn check(scene: &Scene, fits: &[Fit]) -> Option<Finding> {
     let given = fits.first()?;
     let fit = given.warp.as_ref()?;
-    if !fit.tells_poses() || fit.ratio >= ASTRAY {
+    if fit.shift_px < LEAST_SHIFT || fit.ratio >= ASTRAY {
         return None;
     }
     let misfits = misfits(scene, given);

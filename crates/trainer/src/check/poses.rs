@@ -1,7 +1,7 @@
 //! Poses against pictures: frames warped to others, and points in the frames.
 
 use super::finding::{Finding, Verdict};
-use super::fit::{Fit, better};
+use super::fit::{Fit, LEAST_SHIFT, better};
 
 /// Warped frames that differ by less than this share of unwarped ones are where they should be.
 const GOOD: f64 = 0.8;
@@ -42,7 +42,7 @@ fn warp(fits: &[Fit]) -> Option<Finding> {
     };
     let proposed = proposal(fits);
     let verdict = match &proposed {
-        _ if !given.tells_poses() => Verdict::Untold,
+        _ if given.shift_px < LEAST_SHIFT => Verdict::Untold,
         Some((name, best)) if best.warp.as_ref().is_some_and(|w| w.ratio < given.ratio) => {
             let found = best.warp.as_ref().map_or(1.0, |w| w.ratio);
             text += &format!("; with {name} it is {:.0} %", 100.0 * found);
