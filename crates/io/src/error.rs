@@ -215,7 +215,8 @@ fn at_key(key: &str) -> String {
 }
 
 /// Up to eight names for a message, and how many more there are.
-pub(crate) fn list_names<S: AsRef<str>>(names: &[S]) -> String {
+#[must_use]
+pub fn list_names<S: AsRef<str>>(names: &[S]) -> String {
     const SHOWN: usize = 8;
     let mut text = names
         .iter()

@@ -36,7 +36,7 @@ mod truth;
 mod undistort;
 
 pub use atomic::{unfinished, write_atomic, write_atomic_keeping, write_json};
-pub use error::IoError;
+pub use error::{IoError, list_names};
 pub use export::{
     ExportedView, Glb, GlbPart, RigidMotion, SpzLoss, write_colmap, write_glb, write_spz,
     write_transforms,

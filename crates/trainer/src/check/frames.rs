@@ -4,7 +4,7 @@
 use super::finding::{Finding, Verdict};
 use super::fit::{Fit, LEAST_SHIFT, moved};
 use crate::statistics::median;
-use io::Scene;
+use io::{Scene, list_names};
 
 /// Frames are held against so many before and as many behind them.
 const NEIGHBOURS: usize = 2;
@@ -13,8 +13,6 @@ const NEIGHBOURS: usize = 2;
 const ASTRAY: f64 = 1.0;
 /// Where more than this share of the frames is, it is not the frames.
 const FEW: f64 = 0.5;
-/// So many are named.
-const NAMED: usize = 8;
 
 /// How a frame differs from those around it where it fits best, as a share of what it differs unmoved; `None` where that cannot be
 /// told.
@@ -79,15 +77,7 @@ pub(super) fn check(scene: &Scene, fits: &[Fit]) -> Option<Finding> {
     ];
     let told = told.into_iter().filter(|(names, _)| !names.is_empty());
     let told: Vec<String> = told
-        .map(|(names, what)| {
-            let others = names.len().saturating_sub(NAMED);
-            let more = if others > 0 {
-                format!(" and {others} more")
-            } else {
-                String::new()
-            };
-            format!("{}{more}: {what}", names[..names.len() - others].join(", "))
-        })
+        .map(|(names, what)| format!("{}: {what}", list_names(&names)))
         .collect();
     let (verdict, text) = if told.is_empty() {
         (
