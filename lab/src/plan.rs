@@ -7,6 +7,7 @@ use crate::scenes::Scenes;
 use crate::study::Study;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -149,6 +150,18 @@ impl Program {
         write_json(&known, &kept)?;
         Ok(kept)
     }
+
+    /// What it has against these arguments, before anything is trained.
+    fn objection(&self, arguments: &[String]) -> Result<Option<String>, LabError> {
+        let asked = Command::new(&self.path)
+            .args(arguments)
+            .arg("--dry-run")
+            .output();
+        let answer = asked.map_err(LabError::file(&self.path))?;
+        // An earlier program, which does not know the flag, ends with 2.
+        let refused = answer.status.code() == Some(1);
+        Ok(refused.then(|| String::from_utf8_lossy(&answer.stderr).trim().to_owned()))
+    }
 }
 
 /// The commit of a checkout, where git knows, and whether what the program is built from differs from it.
@@ -171,7 +184,7 @@ impl Plan {
     /// The runs of a study but for those that are kept elsewhere; `lab` is this program, which schedulers start.
     ///
     /// # Errors
-    /// The study cannot be expanded, or a scene lacks what it asks for.
+    /// The study cannot be expanded, a scene lacks what it asks for, or the program does not know a setting.
     pub fn new(
         study: (&str, &Study, &Path),
         program: Program,
@@ -185,6 +198,7 @@ impl Plan {
         let plan = absolute(places.plan(name))?;
         let runs = absolute(places.runs())?;
         let mut planned: Vec<PlannedRun> = Vec::new();
+        let mut asked = BTreeSet::new();
         for case in cases(study, path, &program.fingerprint)? {
             if is_kept(&case) {
                 continue;
@@ -210,6 +224,12 @@ impl Plan {
             all.extend(["--scene".to_owned(), words(&folder)]);
             all.extend(["--out".to_owned(), words(&out)]);
             all.extend(arguments);
+            if asked.insert(case.asks)
+                && let Some(problem) = program.objection(&all)?
+            {
+                let (path, key) = (path.to_owned(), case.arm);
+                return Err(LabError::Study { path, key, problem });
+            }
             planned.push(PlannedRun {
                 command: vec![words(lab), "one".to_owned(), words(&plan), id.clone()],
                 id,

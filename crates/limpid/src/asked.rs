@@ -64,9 +64,15 @@ pub(crate) struct TrainArguments {
     /// With --resume: let learning rates change on the way (`--set learning_rates.…`).
     #[arg(long, requires = "resume")]
     pub(crate) allow_change: bool,
-    /// Replace the results of an earlier run, and train on files that cannot be right (see `limpid check`).
+    /// Replace the results of an earlier run.
     #[arg(long, conflicts_with = "resume")]
     pub(crate) force: bool,
+    /// Train on files that cannot be right (see `limpid check`).
+    #[arg(long, conflicts_with = "resume")]
+    pub(crate) unchecked: bool,
+    /// Say as JSON with which settings it would be trained, and do no more.
+    #[arg(long, conflicts_with_all = ["resume", "minutes"])]
+    pub(crate) dry_run: bool,
     /// Set any setting, for example `--set blur.kernel_size=7`.
     #[arg(long = "set", value_name = "key=value")]
     set: Vec<String>,

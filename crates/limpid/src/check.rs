@@ -147,7 +147,7 @@ pub(crate) fn before_training(scene: &io::Scene, goes_on: bool) -> Result<(), Fa
     let is_wrong = findings.iter().any(|f| f.verdict == Verdict::Wrong);
     if is_wrong && !goes_on {
         return Err(
-            "inputs that cannot be right, see above; mend them, or go on all the same with --force"
+            "inputs that cannot be right, see above; mend them, or train on them all the same with --unchecked"
                 .into(),
         );
     }

@@ -13,7 +13,7 @@ use crate::memory;
 use crate::outputs;
 use crate::progress::{Progress, during};
 use crate::report;
-use crate::say::{conclude, say};
+use crate::say::{self, conclude, say};
 use crate::shell::quoted;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
 use crate::watch::{Listening, Watch};
@@ -35,6 +35,10 @@ struct Started {
 }
 
 pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
+    if arguments.dry_run {
+        say::print(&serde_json::to_string_pretty(&configured(arguments)?)?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
     // From the beginning: the signal ends a program that does not know it.
     let save = SaveRequest::listen()?;
     let watch = arguments.watch.listen()?;
@@ -186,9 +190,8 @@ impl Started {
     }
 }
 
-/// A new run.
-fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
-    let began = Instant::now();
+/// What a new run is asked for.
+fn configured(asked: &TrainArguments) -> Result<Config, Failure> {
     let mut config = config::from_table(asked.table()?, &Config::of(asked.defaults()))?;
     if asked.until_done && config.settings.frames.held_back == 0.0 {
         config.settings.frames.held_back = HELD_BACK;
@@ -197,6 +200,13 @@ fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
     if let Some(scene) = &mut config.run.scene {
         *scene = absolute(scene)?;
     }
+    Ok(config)
+}
+
+/// A new run.
+fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
+    let began = Instant::now();
+    let mut config = configured(asked)?;
     let out = asked.out(config.run.scene.as_deref())?;
     let device = config.run.backend.device()?;
     outputs::check_folder(&out, asked.force)?;
@@ -208,7 +218,7 @@ fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
     for note in &scene.notes {
         say!("note: {note}");
     }
-    check::before_training(&scene, asked.force)?;
+    check::before_training(&scene, asked.unchecked)?;
     let settings = config.settings.clone();
     let mut trainer = during("fitting motion and placing Gaussians", || {
         Trainer::new(scene, settings, &device)

@@ -460,12 +460,14 @@ fn a_scene_is_checked_by_itself_and_before_it_is_trained_on() -> Outcome {
     let said = text(&refused.stderr);
     assert!(!refused.status.success(), "{said}");
     assert!(
-        said.contains("--force") && said.contains("wrong  masks"),
+        said.contains("--unchecked") && said.contains("wrong  masks"),
         "{said}"
     );
     assert!(!out.exists(), "nothing was begun");
-    let forced = limpid(&train).args(short).arg("--force").output()?;
-    assert!(forced.status.success(), "{}", text(&forced.stderr));
+    let replacing = limpid(&train).args(short).arg("--force").output()?;
+    assert!(!replacing.status.success(), "{}", text(&replacing.stderr));
+    let unchecked = limpid(&train).args(short).arg("--unchecked").output()?;
+    assert!(unchecked.status.success(), "{}", text(&unchecked.stderr));
     Ok(())
 }
 
