@@ -2,9 +2,10 @@
 //! Gaussian to lists of several batches a tile, with thin, huge, hidden and faint Gaussians among them.
 
 use burn::tensor::{DType, Device, Tensor};
-use limpid_tests::{devices, noise, tensor, values};
+use limpid_tests::{devices, noise, skipped, tensor, values};
 use splat_core::{
-    Camera, Exposure, Extra, Movers, Splats, Transfer, Viewpoint, expose, prepare, rasterize,
+    Camera, Exposure, Extra, Movers, SplatError, Splats, Transfer, Viewpoint, expose, prepare,
+    rasterize,
 };
 
 /// A scene's inputs as matrices, by name.
@@ -22,7 +23,7 @@ struct Case {
     features: usize,
 }
 
-const CASES: [Case; 4] = [
+const CASES: [Case; 5] = [
     Case {
         rows: 1,
         moving: 1,
@@ -40,6 +41,16 @@ const CASES: [Case; 4] = [
         height: 17,
         sh_degree: 1,
         features: 1,
+    },
+    // As many features as a GPU blends.
+    Case {
+        rows: 200,
+        moving: 7,
+        samples: 1,
+        width: 40,
+        height: 24,
+        sh_degree: 0,
+        features: 8,
     },
     Case {
         rows: 333,
@@ -215,6 +226,37 @@ impl Case {
         found.push(("statistic of density control".to_owned(), statistic));
         found
     }
+
+    /// Renders in f32, with a way back.
+    fn render(&self, device: &Device) -> Result<(), SplatError> {
+        let inputs = self.inputs();
+        let of = |name: &str| {
+            let (_, shape, values) = inputs
+                .iter()
+                .find(|input| input.0 == name)
+                .expect("an input");
+            tensor(values, *shape, device, DType::F32).require_grad()
+        };
+        let splats = Splats {
+            means: of("means"),
+            quats: of("quats"),
+            left_rotations: None,
+            log_scales: of("log_scales"),
+            opacity_logits: of("opacity_logits"),
+            sh: of("sh"),
+        };
+        let view = Viewpoint {
+            camera: self.camera(),
+            cam_from_world: of("cam_from_world"),
+            sh_degree: self.sh_degree,
+        };
+        let prepared = prepare(&splats, &view)?;
+        let extra = Extra {
+            features: (self.features > 0).then(|| of("features")),
+            screen_grad: None,
+        };
+        rasterize(&prepared, splats, view.cam_from_world, extra).map(|_| ())
+    }
 }
 
 /// Size of a difference against the size of what it is from; and whether both are all numbers.
@@ -254,6 +296,71 @@ fn single_precision_on_every_device_follows_double_on_the_cpu() {
                 }
             }
         }
+    }
+}
+
+/// More projected Gaussians, and more places in the tiles' lists, than two levels of a prefix sum take (1,048,576).
+#[test]
+fn more_gaussians_than_fit_into_two_levels_of_a_prefix_sum() {
+    let case = Case {
+        rows: 140_000,
+        moving: 100,
+        samples: 8,
+        width: 64,
+        height: 48,
+        sh_degree: 0,
+        features: 0,
+    };
+    let transfer = Some(Transfer::Linear);
+    let devices = devices();
+    if devices.iter().all(|(name, _)| *name == "flex") {
+        return;
+    }
+    let exact = case.run(&Device::flex().autodiff(), DType::F32, transfer);
+    for (name, device) in devices.iter().filter(|(name, _)| *name != "flex") {
+        let found = case.run(&device.clone().autodiff(), DType::F32, transfer);
+        for ((what, found), (_, exact)) in found.iter().zip(&exact) {
+            let error = distance(found, exact);
+            assert!(error < 3e-5, "{name}: {what} is off by {error:e}");
+        }
+    }
+}
+
+#[test]
+fn what_a_device_cannot_hold_or_blend_is_an_error_that_says_so() {
+    let [_, mut case, ..] = CASES;
+    case.features = 9;
+    let found = trainer::Gpu::found();
+    for (name, device) in devices() {
+        let Some(gpu) = found.iter().find(|gpu| gpu.runtime == name) else {
+            continue;
+        };
+        let error = case
+            .render(&device.clone().autodiff())
+            .expect_err("nine features");
+        let limit = matches!(error, SplatError::TooManyFeatures { found: 9, limit: 8 });
+        assert!(limit, "{error}");
+        if gpu.largest_buffer > 2 << 30 {
+            skipped(
+                "gradients that do not fit",
+                "the adapter has larger buffers",
+            );
+            continue;
+        }
+        // Seven numbers a pixel go back of a render with colours and depth.
+        let side = (gpu.largest_buffer as f64 / 28.0).sqrt().ceil() as usize + 1;
+        let huge = Case {
+            width: side,
+            height: side,
+            features: 0,
+            ..case
+        };
+        let error = huge.render(&device.autodiff()).expect_err("no room");
+        let SplatError::TooLarge { bytes, limit, .. } = error else {
+            panic!("{error}");
+        };
+        assert!(bytes > limit && limit == gpu.largest_buffer, "{error}");
+        assert!(error.to_string().contains("smaller pictures"), "{error}");
     }
 }
 

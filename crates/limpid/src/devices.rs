@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use trainer::{Gpu, Settings};
+use trainer::{Gpu, Settings, Table};
 
 /// Arguments of `limpid devices`.
 #[derive(Debug, clap::Args)]
@@ -21,37 +21,32 @@ pub(crate) struct DevicesArguments {
     is_static: bool,
 }
 
-/// What a training may need at most.
-#[derive(Clone, Copy, Debug)]
-struct Need {
-    gaussians: usize,
-    samples: usize,
-}
+/// The largest table of a training, and for how many Gaussians.
+type Need = (Table, usize);
 
-impl Need {
-    fn of(arguments: &DevicesArguments) -> Result<Option<Self>, Failure> {
-        if arguments.scene.is_none() {
-            return Ok(None);
-        }
-        let mut config = Config::of(Settings::default());
-        config.run = RunOptions {
-            scene: arguments.scene.clone(),
-            downscale: arguments.downscale,
-            is_static: arguments.is_static,
-            ..RunOptions::default()
-        };
-        let scene = config.open_scene()?;
-        let frame = scene.frames.first().ok_or("the scene has no frame")?;
-        let pixels = frame.view.camera.num_pixels();
-        Ok(Some(Self {
-            gaussians: config.settings.gaussians.most(pixels),
-            samples: config.settings.camera.most_samples(),
-        }))
+/// What the scene that is asked about may need at most.
+fn need(arguments: &DevicesArguments) -> Result<Option<Need>, Failure> {
+    if arguments.scene.is_none() {
+        return Ok(None);
     }
+    let mut config = Config::of(Settings::default());
+    config.run = RunOptions {
+        scene: arguments.scene.clone(),
+        downscale: arguments.downscale,
+        is_static: arguments.is_static,
+        ..RunOptions::default()
+    };
+    let scene = config.open_scene()?;
+    let frame = scene.frames.first().ok_or("the scene has no frame")?;
+    let pixels = frame.view.camera.num_pixels();
+    let settings = &config.settings;
+    let gaussians = settings.gaussians.most(pixels);
+    let table = Gpu::largest_table(settings, gaussians, pixels);
+    Ok(Some((table, gaussians)))
 }
 
 pub(crate) fn run(arguments: &DevicesArguments) -> Result<ExitCode, Failure> {
-    let need = Need::of(arguments)?;
+    let need = need(arguments)?;
     let mut out = std::io::stdout().lock();
     for (backend, is_here) in [
         ("flex", cfg!(feature = "flex")),
@@ -106,19 +101,17 @@ fn list_gpus(
         match (gpu.refusal(), need) {
             (Some(why), _) => writeln!(out, "         too small: {why}")?,
             (None, None) => {}
-            (None, Some(Need { gaussians, samples })) => {
-                let bytes = Gpu::largest_table(gaussians, samples);
-                let fits = if bytes <= gpu.largest_buffer {
+            (None, Some((table, gaussians))) => writeln!(
+                out,
+                "         the scene {}: with {gaussians} Gaussians at most, the largest table has about {} MiB ({})",
+                if table.bytes <= gpu.largest_buffer {
                     "fits"
                 } else {
                     "may not fit"
-                };
-                writeln!(
-                    out,
-                    "         the scene {fits}: {gaussians} Gaussians at most, seen in {samples} samples a frame, make a table of about {} MiB",
-                    mib(bytes)
-                )?;
-            }
+                },
+                mib(table.bytes),
+                table.name
+            )?,
         }
     }
     Ok(())

@@ -1,21 +1,37 @@
-//! Whether main memory will do, before a run finds out.
+//! Whether memory will do, before a run finds out.
 
 use crate::config::Config;
 use crate::say::say;
 use std::fs;
 use std::path::Path;
-use trainer::Trainer;
+use trainer::{Gpu, Trainer};
 
-/// Warns where a run may take more memory than the system will give, and says what makes it smaller. Says nothing where the system
-/// does not tell.
-pub(crate) fn warn(trainer: &Trainer, downscale: usize) {
+/// Warns where a run may take more memory than the system will give, or a larger table than a GPU's buffers hold, and says what makes
+/// it smaller. Says nothing where the system does not tell.
+pub(crate) fn warn(trainer: &Trainer, config: &Config) {
+    let (backend, downscale) = (config.run.backend, config.run.factor());
+    let mib = |bytes: u64| bytes >> 20;
+    if !backend.is_cpu() {
+        let table = trainer.largest_table();
+        if let Ok(gpu) = Gpu::best(backend.name())
+            && let Some(advice) = advice(table.bytes, gpu.largest_buffer, downscale)
+        {
+            say!(
+                "warning: training may make a table of {} MiB ({}), and a buffer of {} holds {}: {advice}",
+                mib(table.bytes),
+                table.name,
+                gpu.name,
+                mib(gpu.largest_buffer)
+            );
+        }
+        return;
+    }
     let most = trainer.most_gaussians();
     let need = trainer.memory_need(most);
     let Some((given, by)) = given() else {
         return;
     };
     if let Some(advice) = advice(need.total(), given, downscale) {
-        let mib = |bytes: u64| bytes >> 20;
         say!(
             "warning: training may take {} MiB of memory ({} for the pictures, {} for up to {most} Gaussians, {} for a view and its blur), \
              and there are {} MiB ({by}): {advice}",

@@ -50,9 +50,7 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     for note in &started.trainer.survey().notes {
         say!("{note}");
     }
-    if started.config.run.backend.is_cpu() {
-        memory::warn(&started.trainer, started.config.run.factor());
-    }
+    memory::warn(&started.trainer, &started.config);
     let ended = started.train(&save, watch);
     ended.map_err(|error| {
         let error = with_causes(&*error);

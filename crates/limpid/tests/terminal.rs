@@ -102,6 +102,67 @@ fn a_backend_that_is_not_built_in_is_an_error_that_says_what_to_do() -> Result<(
     Ok(())
 }
 
+/// Without drivers of Vulkan and EGL there is no adapter, where these can be hidden.
+#[cfg(all(feature = "wgpu", target_os = "linux"))]
+#[test]
+fn a_machine_without_an_adapter_is_an_error_that_says_what_to_do() -> Result<(), Box<dyn Error>> {
+    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    let hidden = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_limpid"));
+        for variable in [
+            "VK_DRIVER_FILES",
+            "VK_ICD_FILENAMES",
+            "__EGL_VENDOR_LIBRARY_FILENAMES",
+        ] {
+            command.env(variable, folder.path().join("none.json"));
+        }
+        command.env_remove("VK_ADD_DRIVER_FILES");
+        command.args(args).output()
+    };
+    let listed = hidden(&["devices"])?;
+    let said = String::from_utf8_lossy(&listed.stdout);
+    assert!(listed.status.success(), "{said}");
+    if !said.contains("wgpu     no adapter") {
+        let line = "skipped: a machine without an adapter: its drivers cannot be hidden\n";
+        std::io::stderr().write_all(line.as_bytes())?;
+        return Ok(());
+    }
+    let run = out.to_string_lossy();
+    let tried = hidden(&["train", "--scene", demo, "--backend", "wgpu", "--out", &run])?;
+    let said = String::from_utf8_lossy(&tried.stderr);
+    assert_eq!(tried.status.code(), Some(1), "{said}");
+    for part in ["no adapter", "install its driver", "--backend flex"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    assert!(!said.contains("panicked") && !out.exists(), "{said}");
+    Ok(())
+}
+
+/// What there is, with its limits, and whether a scene fits.
+#[cfg(feature = "wgpu")]
+#[test]
+fn devices_are_listed_with_their_limits_and_whether_a_scene_fits() -> Result<(), Box<dyn Error>> {
+    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
+    let said = told(&["devices", "--scene", demo])?;
+    assert!(said.contains("flex     the CPU"), "{said}");
+    if said.contains("wgpu     no adapter") {
+        let line = "skipped: devices and what fits: no adapter\n";
+        std::io::stderr().write_all(line.as_bytes())?;
+        return Ok(());
+    }
+    for part in [
+        "a buffer",
+        "buffers a kernel",
+        "units a cube",
+        "the scene fits: with",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    Ok(())
+}
+
 /// Whether a line begins with a time as `2026-01-31T12:00:00Z `.
 fn has_time(line: &str) -> bool {
     let shape: String = line

@@ -3,14 +3,29 @@
 use burn::tensor::Device;
 use serde::Serialize;
 
-/// Storage buffers that a kernel may have: ours take up to seven, and CubeCL adds one.
-const BUFFERS: u32 = 8;
+use crate::settings::{BlurKind, Settings};
+
+/// Storage buffers that a kernel takes at most. What CubeCL reports is one less than the adapter has, which wgpu keeps for itself:
+/// of WebGPU's eight, seven are left.
+const BUFFERS: u32 = 7;
 /// Memory that the units of a cube share, in bytes.
 const SHARED_MEMORY: usize = 16 << 10;
 /// Units of a cube.
 const UNITS: u32 = 256;
 /// Tiles that a Gaussian overlaps, of a scene that is trained: for an estimate.
 const TILES: u64 = 4;
+/// Numbers of a Gaussian's partial gradient in a tile, and of a pixel's gradient on its way back.
+const PARTIAL: u64 = 9;
+const PIXEL: u64 = 6;
+
+/// A table that lies in one buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Table {
+    /// What it holds.
+    pub name: &'static str,
+    /// Its size.
+    pub bytes: u64,
+}
 
 /// A GPU, or a CPU that plays one.
 #[derive(Clone, Debug)]
@@ -131,14 +146,45 @@ impl Gpu {
         .or_else(|| too_few("units a cube", self.units.into(), UNITS.into()))
     }
 
-    /// Bytes of the largest table that training makes, about: for so many Gaussians seen in so many samples of an exposure,
-    /// each in four tiles on average. More than [`Self::largest_buffer`] is refused when it is asked for.
+    /// The largest table that training makes, about: of so many Gaussians, each in four tiles on average, and frames of so many
+    /// pixels. One that is larger than [`Self::largest_buffer`] is refused when it is asked for.
     #[must_use]
-    pub fn largest_table(gaussians: usize, samples: usize) -> u64 {
-        let (gaussians, samples) = (gaussians as u64, samples as u64);
-        let coefficients = 4 * 48 * gaussians;
-        let partial_gradients = 4 * 9 * TILES * gaussians * samples;
-        coefficients.max(partial_gradients)
+    pub fn largest_table(settings: &Settings, gaussians: usize, pixels: usize) -> Table {
+        let (gaussians, pixels) = (gaussians as u64, pixels as u64);
+        let (exposes, predicts) = match settings.blur.model {
+            BlurKind::Off => (false, false),
+            BlurKind::Auto | BlurKind::Camera => (true, false),
+            BlurKind::Kernels => (false, true),
+            BlurKind::Both => (true, true),
+        };
+        let samples = if exposes {
+            settings.camera.most_samples() as u64
+        } else {
+            1
+        };
+        let weights = if predicts {
+            settings.blur.kernel_size.pow(2) as u64 + 1
+        } else {
+            0
+        };
+        let degree = settings.gaussians.sh_degree as u64;
+        let tables = [
+            ("spherical harmonics", 3 * (degree + 1).pow(2) * gaussians),
+            (
+                "gradients of the tiles' lists",
+                PARTIAL * TILES * gaussians * samples,
+            ),
+            ("gradients of the pixels", PIXEL * pixels * samples),
+            ("kernels of the pixels", weights * pixels),
+        ];
+        let tables = tables.map(|(name, numbers)| Table {
+            name,
+            bytes: 4 * numbers,
+        });
+        tables
+            .into_iter()
+            .max_by_key(|table| table.bytes)
+            .expect("four of them")
     }
 }
 

@@ -105,7 +105,7 @@ pub use changes::{Change, Difference, differences};
 pub use corrections::{Corrections, FrameCorrection};
 pub use error::{CheckpointProblem, OtherScene, SceneProblem, TrainError, with_causes};
 pub use glam;
-pub use gpu::{Gpu, MemoryUse, NoGpu};
+pub use gpu::{Gpu, MemoryUse, NoGpu, Table};
 pub use length::{Course, Kept, Start};
 pub use lifting::Liftable;
 pub use memory::MemoryNeed;

@@ -1,6 +1,8 @@
 //! What a run takes of main memory at its peak, about: fitted to what runs took on the CPU, and held against it by `tests/tests/main_memory.rs`.
 
 use crate::blur::BlurModel;
+use crate::gpu::{Gpu, Table};
+use crate::settings::BlurKind;
 use crate::trainer::Trainer;
 
 /// The program, its threads, and what does not grow with a scene.
@@ -45,6 +47,18 @@ impl Trainer {
             usize::MAX => self.run.model().num_gaussians(),
             most => most,
         }
+    }
+
+    /// The largest table that training makes on a GPU, about; see [`Gpu::largest_table`].
+    #[must_use]
+    pub fn largest_table(&self) -> Table {
+        let plan = &self.run.plan;
+        let mut settings = plan.settings.clone();
+        if matches!(self.run.model().blur, BlurModel::Off) {
+            settings.blur.model = BlurKind::Off;
+        }
+        let pixels = plan.views.train[0].camera.num_pixels();
+        Gpu::largest_table(&settings, self.most_gaussians(), pixels)
     }
 
     /// What training takes of main memory at its peak with so many Gaussians, within a factor of two; where tensors live on a GPU, it takes less here.

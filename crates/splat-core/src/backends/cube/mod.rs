@@ -110,6 +110,70 @@ fn still(scene: SceneTensors<CubeBackend>, camera: &Camera, sh_degree: usize) ->
     scene_of(scene, moving, poses, camera, sh_degree)
 }
 
+/// Channels beside alpha: colours, depth and features.
+fn channels(features: &CubeTensor) -> usize {
+    BASE_CHANNELS - 1 + features.meta.shape()[1]
+}
+
+/// A view [H, W, 5 + F], and what its way back needs.
+fn rasterized(
+    view: PreparedView<CubeBackend>,
+    features: &CubeTensor,
+) -> Result<(CubeTensor, Saved), SplatError> {
+    match view {
+        PreparedView::Blank { camera, .. } => {
+            let channels = 1 + channels(features);
+            let output = zeros(features, [camera.num_pixels() * channels]);
+            let shape = [camera.height, camera.width, channels].into();
+            Ok((CubeBackend::float_reshape(output, shape), Saved(None)))
+        }
+        PreparedView::Device { tables, .. } => {
+            let blend = Blend::new(&tables, features, true)?;
+            Ok((blend.output, Saved(Some((tables, blend.state)))))
+        }
+        #[cfg(any(feature = "flex", feature = "ndarray"))]
+        PreparedView::Host { .. } => unreachable!("a view stays on its device"),
+    }
+}
+
+/// What is collected while the shutter is open, and what its way back needs.
+fn exposed(
+    scene: SceneTensors<CubeBackend>,
+    moving: MovingTensors<CubeBackend>,
+    taking: &Taking,
+) -> Result<(Picture<CubeBackend>, SavedExposure), SplatError> {
+    let camera = &taking.camera;
+    let size = [camera.height, camera.width, 3];
+    if scene.means.meta.shape()[0] == 0 {
+        camera.check()?;
+        let color = zeros(&scene.means, [camera.num_pixels() * 3]);
+        let picture = Picture {
+            color: CubeBackend::float_reshape(color, size.into()),
+            radii: zeros(&scene.means, [0]),
+        };
+        return Ok((picture, SavedExposure(None)));
+    }
+    let movers = Moving {
+        means: moving.means,
+        left_rotations: moving.left_rotations,
+    };
+    let scene = scene_of(scene, movers, moving.poses, camera, taking.sh_degree);
+    let tables = prepare(scene, None)?;
+    let blend = Blend::new(&tables, &tables.splats, false)?;
+    let picture = mean_of_samples(&tables.scene, &blend.output, taking.transfer)?;
+    let shown = Picture {
+        color: CubeBackend::float_reshape(picture.clone(), size.into()),
+        radii: tables.radii.clone(),
+    };
+    let saved = Exposed {
+        tables,
+        blend,
+        picture,
+        transfer: taking.transfer,
+    };
+    Ok((shown, SavedExposure(Some(Arc::new(saved)))))
+}
+
 impl SplatOps for CubeBackend {
     fn project(
         scene: SceneTensors<Self>,
@@ -139,9 +203,7 @@ impl SplatOps for CubeBackend {
         features: FloatTensor<Self>,
         _screen_grad: FloatTensor<Self>,
     ) -> Blended<Self> {
-        Self::rasterize_saved(view, features)
-            .map(|(output, _)| output)
-            .into()
+        rasterized(view, &features).map(|(output, _)| output).into()
     }
 
     fn expose(
@@ -150,7 +212,7 @@ impl SplatOps for CubeBackend {
         _screen_grad: FloatTensor<Self>,
         taking: Taking,
     ) -> Collected<Self> {
-        Self::expose_saved(scene, moving, &taking)
+        exposed(scene, moving, &taking)
             .map(|(picture, _)| picture)
             .into()
     }
@@ -163,20 +225,10 @@ impl SplatBackwardOps for CubeBackend {
         view: PreparedView<Self>,
         features: FloatTensor<Self>,
     ) -> Result<(FloatTensor<Self>, Self::Saved), SplatError> {
-        match view {
-            PreparedView::Blank { camera, .. } => {
-                let channels = BASE_CHANNELS + features.meta.shape()[1];
-                let output = zeros(&features, [camera.num_pixels() * channels]);
-                let shape = [camera.height, camera.width, channels].into();
-                Ok((Self::float_reshape(output, shape), Saved(None)))
-            }
-            PreparedView::Device { tables, .. } => {
-                let blend = Blend::new(&tables, &features, true)?;
-                Ok((blend.output, Saved(Some((tables, blend.state)))))
-            }
-            #[cfg(any(feature = "flex", feature = "ndarray"))]
-            PreparedView::Host { .. } => unreachable!("a view stays on its device"),
+        if let PreparedView::Device { tables, .. } = &view {
+            tables.have_room_for_gradients(channels(&features))?;
         }
+        rasterized(view, &features)
     }
 
     fn rasterize_backward(
@@ -196,7 +248,7 @@ impl SplatBackwardOps for CubeBackend {
             _ => [rows].into(),
         };
         let gradients = saved.0.map(|(tables, state)| {
-            let channels = 4 + of_features[1];
+            let channels = channels(&features);
             let pixels = render_gradients(&tables, &state, flat(gradient), channels);
             let features = flat(features);
             unblend(&tables, &features, pixels, channels, wanted[POSE], false)
@@ -223,36 +275,11 @@ impl SplatBackwardOps for CubeBackend {
         moving: MovingTensors<Self>,
         taking: &Taking,
     ) -> Result<(Picture<Self>, Self::SavedExposure), SplatError> {
-        let camera = &taking.camera;
-        let size = [camera.height, camera.width, 3];
-        if scene.means.meta.shape()[0] == 0 {
-            camera.check()?;
-            let color = zeros(&scene.means, [camera.num_pixels() * 3]);
-            let picture = Picture {
-                color: Self::float_reshape(color, size.into()),
-                radii: zeros(&scene.means, [0]),
-            };
-            return Ok((picture, SavedExposure(None)));
+        let taken = exposed(scene, moving, taking)?;
+        if let SavedExposure(Some(exposed)) = &taken.1 {
+            exposed.tables.have_room_for_gradients(3)?;
         }
-        let movers = Moving {
-            means: moving.means,
-            left_rotations: moving.left_rotations,
-        };
-        let scene = scene_of(scene, movers, moving.poses, camera, taking.sh_degree);
-        let tables = prepare(scene, None)?;
-        let blend = Blend::new(&tables, &tables.splats, false)?;
-        let picture = mean_of_samples(&tables.scene, &blend.output, taking.transfer)?;
-        let shown = Picture {
-            color: Self::float_reshape(picture.clone(), size.into()),
-            radii: tables.radii.clone(),
-        };
-        let saved = Exposed {
-            tables,
-            blend,
-            picture,
-            transfer: taking.transfer,
-        };
-        Ok((shown, SavedExposure(Some(Arc::new(saved)))))
+        Ok(taken)
     }
 
     fn expose_backward(

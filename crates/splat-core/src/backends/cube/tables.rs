@@ -7,8 +7,9 @@ use host::cube::empty;
 use host::{said, waiting};
 
 use crate::camera::Camera;
-use crate::cpu::{TILE, tangents};
+use crate::cpu::{GEOMETRIC, TILE, tangents};
 use crate::cube::geometry::LensLaunch;
+use crate::cube::raster_backward::pixel_width;
 use crate::error::SplatError;
 
 /// Gaussians as the kernels read them.
@@ -75,6 +76,30 @@ impl Scene {
     ) -> Result<CubeTensor, SplatError> {
         fits(self.client(), name, length)?;
         Ok(empty(&self.shapes, [length.max(1)], dtype))
+    }
+}
+
+impl Tables {
+    /// An error if what the way back makes, with so many channels beside alpha, does not go into the device's buffers: it is known
+    /// by now, and there no error can be returned.
+    pub(super) fn have_room_for_gradients(&self, channels: usize) -> Result<(), SplatError> {
+        let (client, width) = (self.scene.client(), GEOMETRIC + channels);
+        let pixels = self.scene.samples * self.scene.camera.num_pixels();
+        fits(
+            client,
+            "gradients of the tiles' lists",
+            self.num_slots * width,
+        )?;
+        fits(
+            client,
+            "gradients of the pixels",
+            pixels * pixel_width(channels),
+        )?;
+        fits(
+            client,
+            "gradients of the projected Gaussians",
+            self.scene.items() * (width + 1) + 1,
+        )
     }
 }
 
