@@ -9,6 +9,8 @@ use crate::floor::Work;
 pub struct Card {
     /// Its name.
     pub name: &'static str,
+    /// What its adapter's name has in it.
+    pub adapter: &'static str,
     /// What launches kernels on it.
     pub runtime: &'static str,
     /// Peak of its memory, GB/s.
@@ -31,15 +33,21 @@ pub const WAIT_US: [f64; 2] = [30.0, 100.0];
 
 /// GPUs that a bound is given for.
 pub const CARDS: [Card; 5] = [
-    card("H100 SXM", "CUDA", 3350.0, 67.0, CUDA_US),
-    card("H100 SXM", "wgpu, Vulkan", 3350.0, 67.0, VULKAN_US),
-    card("RTX 3090", "CUDA", 936.0, 35.6, CUDA_US),
-    card("RTX 3090", "wgpu, Vulkan", 936.0, 35.6, VULKAN_US),
-    card("M3 Max", "wgpu, Metal", 400.0, 14.0, METAL_US),
+    card(["H100 SXM", "H100"], "CUDA", 3350.0, 67.0, CUDA_US),
+    card(
+        ["H100 SXM", "H100"],
+        "wgpu, Vulkan",
+        3350.0,
+        67.0,
+        VULKAN_US,
+    ),
+    card(["RTX 3090"; 2], "CUDA", 936.0, 35.6, CUDA_US),
+    card(["RTX 3090"; 2], "wgpu, Vulkan", 936.0, 35.6, VULKAN_US),
+    card(["M3 Max"; 2], "wgpu, Metal", 400.0, 14.0, METAL_US),
 ];
 
 const fn card(
-    name: &'static str,
+    [name, adapter]: [&'static str; 2],
     runtime: &'static str,
     gigabytes: f64,
     teraflops: f64,
@@ -47,6 +55,7 @@ const fn card(
 ) -> Card {
     Card {
         name,
+        adapter,
         runtime,
         gigabytes,
         teraflops,
@@ -72,6 +81,14 @@ pub struct Bound {
 }
 
 impl Card {
+    /// The card that an adapter of this name is, as a runtime (`wgpu` or `cuda`) drives it; `None` for one that no bound is given for.
+    #[must_use]
+    pub fn of(adapter: &str, runtime: &str) -> Option<&'static Self> {
+        CARDS.iter().find(|card| {
+            adapter.contains(card.adapter) && card.runtime.to_lowercase().starts_with(runtime)
+        })
+    }
+
     /// The bound of an iteration that does this work, stage by stage, in so many launches, and waits so often.
     #[must_use]
     pub fn bound(&self, work: &[Work], launches: usize, waits: usize) -> Bound {
@@ -98,8 +115,21 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_card_is_known_by_its_adapter_and_its_runtime() {
+        let of =
+            |adapter, runtime| Card::of(adapter, runtime).map(|card| (card.name, card.runtime));
+        assert_eq!(
+            of("NVIDIA H100 80GB HBM3", "cuda"),
+            Some(("H100 SXM", "CUDA"))
+        );
+        let through_vulkan = of("NVIDIA GeForce RTX 3090", "wgpu");
+        assert_eq!(through_vulkan, Some(("RTX 3090", "wgpu, Vulkan")));
+        assert_eq!(of("SwiftShader Device (Subzero)", "wgpu"), None);
+    }
+
+    #[test]
     fn launches_hide_behind_work_and_waits_do_not() {
-        let card = card("a card", "a runtime", 1000.0, 10.0, [5.0, 10.0]);
+        let card = card(["a card"; 2], "a runtime", 1000.0, 10.0, [5.0, 10.0]);
         // 2 ms of moving, though it computes for 1 ms, and then 3 ms of computing.
         let work = [(1e10, 2e9), (3e10, 1e9)].map(|(operations, bytes)| Work { operations, bytes });
         let bound = card.bound(&work, 800, 10);

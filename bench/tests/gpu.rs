@@ -2,20 +2,72 @@
 #![cfg(feature = "wgpu")]
 
 use std::io::Write as _;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use limpid_bench::gpu::launches::count_launches;
+use limpid_bench::gpu::report::time_all;
 use limpid_bench::spans::Stages;
 use trainer::Gpu;
 
+/// Launches are counted for the whole program: one test at a time.
+static ALONE: Mutex<()> = Mutex::new(());
+
+/// The adapter, where there is one, for a test that has it to itself.
+fn gpu(test: &str) -> Option<(Gpu, MutexGuard<'static, ()>)> {
+    let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let gpu = Gpu::best("wgpu")
+        .inspect_err(|why| {
+            let line = format!("skipped: {test}: {why}\n");
+            std::io::stderr().write_all(line.as_bytes()).ok();
+        })
+        .ok()?;
+    Some((gpu, alone))
+}
+
+#[test]
+fn all_is_timed_and_said_with_what_it_was_timed_on() {
+    let Some((gpu, _alone)) = gpu("times of a GPU") else {
+        return;
+    };
+    let stages = Stages::default();
+    let report =
+        tracing::subscriber::with_default(stages.clone(), || time_all(&gpu, &stages, true));
+    let json = serde_json::to_value(&report).expect("JSON");
+    for part in ["parts", "iterations"] {
+        let timed = json[part].as_array().expect("a list");
+        assert!(timed.len() > 2, "{part}: {timed:?}");
+        for Timed { name, ms } in timed.iter().map(Timed::of) {
+            assert!(ms.is_some_and(|ms| ms > 0.0), "{name}: {json}");
+        }
+    }
+    assert!(report.goals.is_empty(), "goals are of full sizes");
+    assert_eq!(json["adapter"]["software"], gpu.is_software);
+    let tables = report.tables().expect("tables");
+    assert!(tables.contains(&gpu.name), "{tables}");
+    assert_eq!(tables.contains("SOFTWARE"), gpu.is_software, "{tables}");
+}
+
+/// Something that was timed, as the report's JSON has it.
+struct Timed<'a> {
+    name: &'a str,
+    ms: Option<f64>,
+}
+
+impl<'a> Timed<'a> {
+    fn of(tried: &'a serde_json::Value) -> Self {
+        let timed = &tried["outcome"]["timed"];
+        let ms = timed["median_ms"].as_f64();
+        Self {
+            name: tried["name"].as_str().unwrap_or_default(),
+            ms: ms.or_else(|| timed["alone"]["median_ms"].as_f64()),
+        }
+    }
+}
+
 #[test]
 fn an_iteration_launches_and_waits_no_more_than_its_least_time_says() {
-    let gpu = match Gpu::best("wgpu") {
-        Ok(gpu) => gpu,
-        Err(why) => {
-            let line = format!("skipped: launches of an iteration: {why}\n");
-            std::io::stderr().write_all(line.as_bytes()).ok();
-            return;
-        }
+    let Some((gpu, _alone)) = gpu("launches of an iteration") else {
+        return;
     };
     let stages = Stages::default();
     // Sizes change only how many sums and digits a sort has.
@@ -36,5 +88,13 @@ fn an_iteration_launches_and_waits_no_more_than_its_least_time_says() {
             found.kernels
         );
         assert_eq!(found.waits, waits, "{}: waits", iteration.blur);
+        // The parameters alone are read, and come back with their gradients and both of Adam's moments.
+        let parameters = 4.0 * 59.0 * 1000.0;
+        assert!(
+            iteration.bytes > 4.0 * parameters,
+            "{}: {} bytes",
+            iteration.blur,
+            iteration.bytes
+        );
     }
 }

@@ -79,11 +79,7 @@ fn count_iteration(
     trainer.step()?;
     let (step, counted) = count(spans, || trainer.step());
     step?;
-    let counts = Counts::new(workload);
-    let names = stages(workload.blur).into_iter();
-    let work: Vec<Work> = names
-        .filter_map(|stage| work(stage, workload, &counts))
-        .collect();
+    let work = work_of(workload);
     let bounds = CARDS
         .iter()
         .map(|card| card.bound(&work, counted.launches, counted.waits))
@@ -95,6 +91,15 @@ fn count_iteration(
         operations: work.iter().map(|w| w.operations).sum(),
         bounds,
     })
+}
+
+/// What the stages of an iteration move and compute at least.
+pub(super) fn work_of(workload: &Workload) -> Vec<Work> {
+    let counts = Counts::new(workload);
+    let names = stages(workload.blur).into_iter();
+    names
+        .filter_map(|stage| work(stage, workload, &counts))
+        .collect()
 }
 
 impl Launches {
@@ -157,7 +162,8 @@ impl Launches {
     }
 }
 
-fn range([from, to]: [f64; 2]) -> String {
+/// From least to most, ms.
+pub(super) fn range([from, to]: [f64; 2]) -> String {
     let (from, to) = (format!("{from:.1}"), format!("{to:.1}"));
     if from == to {
         from

@@ -49,6 +49,14 @@ pub enum Outcome<T> {
 }
 
 impl<T> Outcome<T> {
+    /// The result, where there is one.
+    pub fn timed(&self) -> Option<&T> {
+        match self {
+            Self::Timed(result) => Some(result),
+            Self::Refused(_) => None,
+        }
+    }
+
     /// Does something that may fail, or panic as wgpu does where memory is short.
     pub fn of(piece: impl FnOnce() -> Result<T, Failure>) -> Self {
         match catch_unwind(AssertUnwindSafe(piece)) {

@@ -9,7 +9,9 @@ use trainer::{Gpu, MemoryUse};
 
 use super::adapter::Adapter;
 use super::counted::{Counted, count};
+use super::launches::{range, work_of};
 use super::parts::{Outcome, Times, time_exposure, time_rasteriser, time_render};
+use crate::bound::{Bound, Card};
 use crate::iteration::time_steps;
 use crate::net::time_net;
 use crate::spans::Stages;
@@ -26,6 +28,8 @@ pub struct Report {
     pub parts: Vec<Tried<Times>>,
     /// Whole iterations.
     pub iterations: Vec<Tried<Iteration>>,
+    /// What was hoped for, and what came of it; at full size alone.
+    pub goals: Vec<Goal>,
     /// The device's memory at the end.
     pub memory: Option<MemoryUse>,
 }
@@ -48,11 +52,32 @@ pub struct Iteration {
     pub in_a_row_ms: f64,
     /// What one launches and waits for.
     pub counted: Counted,
+    /// COMPUTED, NOT MEASURED: its least time, on a card that a bound is given for.
+    pub bound: Option<Bound>,
     /// The device's memory after the first iterations.
     pub memory_warm: Option<MemoryUse>,
     /// The device's memory after the last.
     pub memory: Option<MemoryUse>,
 }
+
+/// Something that was hoped for, as a number.
+#[derive(Clone, Debug, Serialize)]
+pub struct Goal {
+    /// What, and in which unit.
+    pub what: &'static str,
+    /// What was found; `None` where the device refused.
+    pub found: Option<f64>,
+    /// What it is held against.
+    pub goal: f64,
+    /// Whether it was reached.
+    pub is_reached: bool,
+}
+
+/// Renders a second: ten times those that the paper names.
+const RENDERS: f64 = 650.0;
+/// Minutes of 40,000 iterations, and seconds of 3,000.
+const MINUTES: f64 = 10.0;
+const SECONDS: f64 = 40.0;
 
 /// The sizes of a run.
 struct Sizes {
@@ -120,12 +145,64 @@ pub fn time_all(gpu: &Gpu, stages: &Stages, quick: bool) -> Report {
             time_iteration(gpu, stages, w, repeats)
         })
     });
+    let goals = if quick {
+        Vec::new()
+    } else {
+        goals(&parts[0], &iterations)
+    };
     Report {
         adapter: Adapter::of(gpu),
         parts,
         iterations: iterations.into(),
+        goals,
         memory: gpu.memory_use(),
     }
+}
+
+/// Goals of a render and of iterations without a blur model, with kernels and with the camera. Of a training only its iterations
+/// count: its start, its trials and density control are left out.
+fn goals(render: &Tried<Times>, iterations: &[Tried<Iteration>; 3]) -> Vec<Goal> {
+    let renders = render.outcome.timed().map(|times| 1e3 / times.median_ms);
+    let [_, kernels, camera] = iterations.each_ref().map(|i| {
+        let timed = i.outcome.timed();
+        timed.map(|i| i.in_a_row_ms)
+    });
+    let at_most = |what, found: Option<f64>, goal: f64| Goal {
+        what,
+        found,
+        goal,
+        is_reached: found.is_some_and(|found| found <= goal),
+    };
+    let minutes = |ms: Option<f64>| ms.map(|ms| ms * 40_000.0 / 60e3);
+    let seconds = |ms: Option<f64>| ms.map(|ms| ms * 3.0);
+    vec![
+        Goal {
+            what: "renders a second, at least",
+            found: renders,
+            goal: RENDERS,
+            is_reached: renders.is_some_and(|found| found >= RENDERS),
+        },
+        at_most(
+            "40,000 iterations with kernels, minutes",
+            minutes(kernels),
+            MINUTES,
+        ),
+        at_most(
+            "40,000 iterations with the camera, minutes",
+            minutes(camera),
+            MINUTES,
+        ),
+        at_most(
+            "3,000 iterations with kernels, s",
+            seconds(kernels),
+            SECONDS,
+        ),
+        at_most(
+            "3,000 iterations with the camera, s",
+            seconds(camera),
+            SECONDS,
+        ),
+    ]
 }
 
 fn workload((width, height, gaussians): (usize, usize, usize), blur: Blur) -> Workload {
@@ -180,6 +257,8 @@ fn time_iteration(
     Ok(Iteration {
         alone: Times::of(times).ok_or("nothing was timed")?,
         in_a_row_ms,
+        bound: Card::of(&gpu.name, gpu.runtime)
+            .map(|card| card.bound(&work_of(&workload), counted.launches, counted.waits)),
         counted,
         memory_warm,
         memory: gpu.memory_use(),
@@ -211,17 +290,20 @@ impl Report {
         }
         write!(
             out,
-            "\n| | alone, median ms | fastest ms | in a row, ms | launches | waits | MiB in use, warm and at the end | MiB reserved |\n\
-             |---|---|---|---|---|---|---|---|\n"
+            "\n| | alone, median ms | fastest ms | in a row, ms | at least (computed) | launches | waits | MiB in use, warm and at the end | MiB reserved |\n\
+             |---|---|---|---|---|---|---|---|---|\n"
         )?;
         for Tried { name, outcome } in &self.iterations {
             match outcome {
                 Outcome::Timed(i) => writeln!(
                     out,
-                    "| {name} | {:.2} | {:.2} | {:.2} | {} | {} | {}, {} | {}, {} |",
+                    "| {name} | {:.2} | {:.2} | {:.2} | {} | {} | {} | {}, {} | {}, {} |",
                     i.alone.median_ms,
                     i.alone.fastest_ms,
                     i.in_a_row_ms,
+                    i.bound
+                        .as_ref()
+                        .map_or_else(|| "–".to_owned(), |b| range(b.total_ms)),
                     i.counted.launches,
                     i.counted.waits,
                     mib(i.memory_warm, |m| m.in_use),
@@ -230,9 +312,23 @@ impl Report {
                     mib(i.memory, |m| m.reserved),
                 )?,
                 Outcome::Refused(why) => {
-                    writeln!(out, "| {name} | refused: {why} | | | | | | |")?;
+                    writeln!(out, "| {name} | refused: {why} | | | | | | | |")?;
                 }
             }
+        }
+        if !self.goals.is_empty() {
+            write!(out, "\n| goal | found | reached |\n|---|---|---|\n")?;
+        }
+        for Goal {
+            what,
+            found,
+            goal,
+            is_reached,
+        } in &self.goals
+        {
+            let found = found.map_or_else(|| "–".to_owned(), |found| format!("{found:.1}"));
+            let reached = if *is_reached { "yes" } else { "no" };
+            writeln!(out, "| {what}: {goal} | {found} | {reached} |")?;
         }
         Ok(out)
     }
