@@ -154,6 +154,30 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
         }
     }
 
+    // More blur than the video's, on purpose: by a longer exposure, and by a wider lens that looks elsewhere.
+    let shots = folder.path().join("shots");
+    let fine_contrast = |more: &[&str]| -> Result<f64, Box<dyn Error>> {
+        let shot = ["render", path(&out), "--at", "1.5", "--out", path(&shots)];
+        let taken = output(&[&shot, more].concat())?;
+        assert!(taken.status.success(), "{}", text(&taken.stderr));
+        let image = io::read_image(&shots.join("at_1.5.png"))?;
+        let next = image.pixels.iter().skip(3);
+        let steps = image
+            .pixels
+            .iter()
+            .zip(next)
+            .map(|(a, b)| f64::from((a - b).abs()));
+        Ok(steps.sum())
+    };
+    let sharp = fine_contrast(&[])?;
+    for more in [
+        &["--shutter", "8"][..],
+        &["--aperture", "0.4", "--focus", "2"],
+    ] {
+        let blurred = fine_contrast(more)?;
+        assert!(blurred < 0.9 * sharp, "{more:?}: {blurred} of {sharp}");
+    }
+
     // The report is written again with the pictures, but for where it would lose its blurry frames or they go elsewhere.
     let report = out.join("report.html");
     let whole = fs::read_to_string(&report)?;
