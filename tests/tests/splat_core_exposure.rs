@@ -4,6 +4,7 @@
 use burn::tensor::{DType, Device, Tensor};
 use limpid_tests::{
     GradLimits, check_gradients, computes, devices, devices_in, in_pool, noise, tensor, values,
+    wall,
 };
 use splat_core::{
     Camera, Exposure, Extra, Movers, SplatError, Splats, Transfer, Viewpoint, expose, render,
@@ -150,6 +151,56 @@ fn a_picture_is_the_mean_light_of_renders_one_by_one() {
         );
         for (a, b) in found.iter().zip(&expected) {
             assert!((a - b).abs() < 1e-12, "{name}: {a} {b}");
+        }
+    }
+}
+
+/// What it costs that all samples see a Gaussian in one colour, with spherical harmonics of degree 3 and a focal length of 213 px
+/// (pictures 256 wide): a fortieth of an 8-bit step for a path of 3 px, a fifth for one of 10 (root mean squares).
+#[test]
+fn one_colour_for_all_samples_is_off_by_little() {
+    for (name, device) in devices() {
+        let mut splats = wall::splats(&device);
+        let count = splats.means.dims()[0];
+        let bands = tensor(&noise(count * 45, 12), [count, 45], &device, DType::F32);
+        splats.sh = Tensor::cat(vec![splats.sh, bands.mul_scalar(0.1)], 1);
+        let camera = Camera::pinhole([56, 40], [213.0; 2], [28.0, 20.0]);
+        let seen_from = |x: f64| {
+            let pose = [1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0];
+            tensor(&pose, [3, 4], &device, DType::F32)
+        };
+        let view = |pose: Tensor<2>| Viewpoint {
+            camera: camera.clone(),
+            cam_from_world: pose,
+            sh_degree: 3,
+        };
+        let error = |path_px: f64| {
+            // The wall is at depth 4.
+            let places: Vec<f64> = (0..8)
+                .map(|k| ((k as f64 + 0.5) / 8.0 - 0.5) * path_px * 4.0 / 213.0)
+                .collect();
+            let poses: Vec<Tensor<2>> = places.iter().map(|x| seen_from(*x)).collect();
+            let mut sum = Tensor::<3>::zeros([40, 56, 3], (&device, DType::F32));
+            for pose in &poses {
+                let rendered = render(splats.clone(), &view(pose.clone()), Extra::default());
+                sum = sum + rendered.expect("a render").color();
+            }
+            let exposure = Exposure {
+                poses: Tensor::stack(poses, 0),
+                movers: None,
+                transfer: Transfer::Linear,
+            };
+            let exposed = expose(splats.clone(), &view(seen_from(0.0)), exposure, None);
+            let difference = values(exposed.expect("a picture").color - sum.div_scalar(8.0));
+            let squares = difference.iter().map(|d| d * d).sum::<f64>();
+            (squares / difference.len() as f64).sqrt()
+        };
+        for (path_px, limit) in [(3.0, 0.03 / 255.0), (10.0, 0.2 / 255.0)] {
+            let found = error(path_px);
+            assert!(
+                found > 0.0 && found < limit,
+                "{name}, {path_px} px: {found:e}"
+            );
         }
     }
 }

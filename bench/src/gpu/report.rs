@@ -258,7 +258,7 @@ fn time_iteration(
         alone: Times::of(times).ok_or("nothing was timed")?,
         in_a_row_ms,
         bound: Card::of(&gpu.name, gpu.runtime)
-            .map(|card| card.bound(&work_of(&workload), counted.launches, counted.waits)),
+            .map(|card| card.bound(&work_of(workload), counted.launches, counted.waits)),
         counted,
         memory_warm,
         memory: gpu.memory_use(),
