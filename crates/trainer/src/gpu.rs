@@ -169,17 +169,20 @@ impl Gpu {
         };
         let degree = settings.gaussians.sh_degree as u64;
         let tables = [
-            ("spherical harmonics", 3 * (degree + 1).pow(2) * gaussians),
+            (
+                "spherical harmonics",
+                gaussians.saturating_mul(3 * (degree + 1).pow(2)),
+            ),
             (
                 "gradients of the tiles' lists",
-                PARTIAL * TILES * gaussians * samples,
+                gaussians.saturating_mul(PARTIAL * TILES * samples),
             ),
             ("gradients of the pixels", PIXEL * pixels * samples),
             ("kernels of the pixels", weights * pixels),
         ];
         let tables = tables.map(|(name, numbers)| Table {
             name,
-            bytes: 4 * numbers,
+            bytes: numbers.saturating_mul(4),
         });
         tables
             .into_iter()
@@ -240,8 +243,27 @@ mod runtimes {
 
 #[cfg(test)]
 mod tests {
-    use super::{BUFFERS, Gpu, SHARED_MEMORY, UNITS};
+    use super::{BUFFERS, BlurKind, Gpu, SHARED_MEMORY, Settings, UNITS};
     use burn::tensor::Device;
+
+    #[test]
+    fn the_largest_table_is_what_the_settings_ask_for() {
+        let mut settings = Settings::default();
+        let of = |settings: &Settings, gaussians| {
+            let table = Gpu::largest_table(settings, gaussians, 1920 * 1080);
+            (table.name, table.bytes)
+        };
+        settings.blur.model = BlurKind::Off;
+        let harmonics = ("spherical harmonics", 4 * 48 * 1_000_000);
+        assert_eq!(of(&settings, 1_000_000), harmonics);
+        settings.blur.model = BlurKind::Kernels;
+        let kernels = ("kernels of the pixels", 4 * 82 * 1920 * 1080);
+        assert_eq!(of(&settings, 1_000_000), kernels);
+        settings.blur.model = BlurKind::Camera;
+        let partial = ("gradients of the tiles' lists", 4 * 9 * 4 * 16 * 1_000_000);
+        assert_eq!(of(&settings, 1_000_000), partial);
+        assert_eq!(of(&settings, usize::MAX).1, u64::MAX, "without a limit");
+    }
 
     #[test]
     fn what_is_too_small_is_named_with_what_is_needed() {
@@ -262,7 +284,7 @@ mod tests {
         memory.shared_memory = 8 << 10;
         units.units = 128;
         for (gpu, found, needed) in [
-            (buffers, "storage buffers a kernel: 4", "8"),
+            (buffers, "storage buffers a kernel: 4", "7"),
             (memory, "bytes of shared memory: 8192", "16384"),
             (units, "units a cube: 128", "256"),
         ] {
