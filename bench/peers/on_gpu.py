@@ -3,10 +3,10 @@
     cargo xtask bench --backend wgpu                # or cuda: writes out/bench/gpu.json
     python bench/peers/on_gpu.py [out/bench/gpu.json]
 
-Needs PyTorch for the GPU and gsplat (pip install torch gsplat ninja packaging) in an environment outside the repository, and CUDA's compiler
-for gsplat's kernels. The Gaussians are drawn as Limpid's benchmark draws them (z even in [2, 8], x and y even over 1.1 times the
-view, 1.3 px large, spherical harmonics of degree 3), and colour, alpha and depth are rendered and go back in f32, as there. Writes
-`peers.json` beside the file that it reads, and prints a table with how many times as long each peer takes.
+Needs PyTorch for the GPU and gsplat (pip install torch gsplat ninja packaging) in an environment outside the repository, and
+CUDA's compiler for gsplat's kernels. The Gaussians are drawn as Limpid's benchmark draws them (z even in [2, 8], x and y even over
+1.1 times the view, 1.3 px large, spherical harmonics of degree 3), and colour, alpha and depth are rendered and go back in f32, as
+there. Writes `peers.json` beside the file that it reads, and prints a table with how many times as long each peer takes.
 
 On a machine without a GPU, `--device cpu` times the network alone: gsplat has no kernels for a CPU.
 """
@@ -21,25 +21,12 @@ import time
 
 import torch
 
-from torch_net import Net
+from torch_net import Net, torch_passes, waits_for
 
 REPEATS = 40
 FOCAL = 30 / 36  # of the width
 RASTERISED = re.compile(r"forward( and backward)?, (\d+)x(\d+), (\d+) Gaussians")
 NETWORK = re.compile(r"BP-Net and back, (\d+)x(\d+), ")
-
-
-def median_ms(device, piece, repeats):
-    """Median time of something that the device has done when the clock is read, after two tries."""
-    wait = torch.cuda.synchronize if device.type == "cuda" else lambda: None
-    times = []
-    for _ in range(repeats + 2):
-        wait()
-        start = time.perf_counter()
-        piece()
-        wait()
-        times.append(1e3 * (time.perf_counter() - start))
-    return statistics.median(times[2:])
 
 
 def gaussians(count, width, height, device):
@@ -69,30 +56,27 @@ def rasterise(count, width, height, back, device, repeats):
     focal = FOCAL * width
     lens = torch.tensor([[[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]], device=device)
 
-    def piece():
+    wait, times = waits_for(device), []
+    for _ in range(repeats + 2):
         for table in tables:
             table.grad = None
+        wait()
+        start = time.perf_counter()
         picture, alpha, _ = rasterization(
             *tables, pose, lens, width, height, sh_degree=3, render_mode="RGB+D", packed=False
         )
         if back:
             (picture.sum() + alpha.sum()).backward()
-
-    return median_ms(device, piece, repeats)
+        wait()
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times[2:])
 
 
 def network(width, height, device, repeats):
     """Extractor, BP-Net and blur with K = 9, forward and back."""
     torch.manual_seed(1)
     net = Net(9, False).to(device)
-    scene, encoding = (torch.rand(1, channels, height, width, device=device) for channels in (5, 16))
-
-    def piece():
-        image = torch.rand(1, 3, height, width, device=device, requires_grad=True)
-        net.zero_grad()
-        net(scene, encoding, image).sum().backward()
-
-    return median_ms(device, piece, repeats)
+    return statistics.median(torch_passes(net, width, height, repeats, device))
 
 
 def peer(name, device, repeats):

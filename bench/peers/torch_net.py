@@ -59,14 +59,22 @@ class Net(nn.Module):
         return image + m * (blurred - image)
 
 
-def torch_passes(net, width, height, repeats):
-    scene, encoding = torch.rand(1, 5, height, width), torch.rand(1, 16, height, width)
+def waits_for(device):
+    """What returns once a device has done all that it was asked for."""
+    return torch.cuda.synchronize if torch.device(device).type == "cuda" else lambda: None
+
+
+def torch_passes(net, width, height, repeats, device="cpu"):
+    wait = waits_for(device)
+    scene, encoding = (torch.rand(1, channels, height, width, device=device) for channels in (5, 16))
     times = []
     for _ in range(repeats + 2):
-        image = torch.rand(1, 3, height, width, requires_grad=True)
+        image = torch.rand(1, 3, height, width, device=device, requires_grad=True)
         net.zero_grad()
+        wait()
         start = time.perf_counter()
         net(scene, encoding, image).sum().backward()
+        wait()
         times.append(1e3 * (time.perf_counter() - start))
     return times[2:]
 

@@ -6,26 +6,18 @@ use std::fs;
 use std::path::Path;
 use trainer::{Gpu, Trainer};
 
-/// Warns where a run may take more memory than the system will give, or a larger table than a GPU's buffers hold, and says what makes
-/// it smaller. Says nothing where the system does not tell.
+/// Warns where a run may take more than there is, and says what makes it smaller.
 pub(crate) fn warn(trainer: &Trainer, config: &Config) {
-    let (backend, downscale) = (config.run.backend, config.run.factor());
-    let mib = |bytes: u64| bytes >> 20;
-    if !backend.is_cpu() {
-        let table = trainer.largest_table();
-        if let Ok(gpu) = Gpu::best(backend.name())
-            && let Some(advice) = advice(table.bytes, gpu.largest_buffer, downscale)
-        {
-            say!(
-                "warning: training may make a table of {} MiB ({}), and a buffer of {} holds {}: {advice}",
-                mib(table.bytes),
-                table.name,
-                gpu.name,
-                mib(gpu.largest_buffer)
-            );
-        }
-        return;
+    let downscale = config.run.factor();
+    if config.run.backend.is_cpu() {
+        warn_of_all(trainer, downscale);
+    } else if let Ok(gpu) = Gpu::best(config.run.backend.name()) {
+        warn_of_a_table(trainer, &gpu, downscale);
     }
+}
+
+/// Of more main memory than the system will give. Says nothing where the system does not tell.
+fn warn_of_all(trainer: &Trainer, downscale: usize) {
     let most = trainer.most_gaussians();
     let need = trainer.memory_need(most);
     let Some((given, by)) = given() else {
@@ -42,6 +34,24 @@ pub(crate) fn warn(trainer: &Trainer, config: &Config) {
             mib(given)
         );
     }
+}
+
+/// Of a larger table than a GPU's buffers hold.
+fn warn_of_a_table(trainer: &Trainer, gpu: &Gpu, downscale: usize) {
+    let table = trainer.largest_table();
+    if let Some(advice) = advice(table.bytes, gpu.largest_buffer, downscale) {
+        say!(
+            "warning: training may make a table of {} MiB ({}), and a buffer of {} holds {}: {advice}",
+            mib(table.bytes),
+            table.name,
+            gpu.name,
+            mib(gpu.largest_buffer)
+        );
+    }
+}
+
+fn mib(bytes: u64) -> u64 {
+    bytes >> 20
 }
 
 /// Bytes of main memory that a run takes at its peak, about; `None` where tensors live elsewhere.

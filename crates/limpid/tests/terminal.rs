@@ -17,6 +17,11 @@ fn told(arguments: &[&str]) -> Result<String, Box<dyn Error>> {
     Ok(String::from_utf8(done.stdout)?)
 }
 
+/// Says that a test could not run: not through `eprintln!`, which the test harness catches.
+fn skipped(what: &str) -> std::io::Result<()> {
+    std::io::stderr().write_all(format!("skipped: {what}\n").as_bytes())
+}
+
 #[test]
 fn the_version_names_commit_and_backends() -> Result<(), Box<dyn Error>> {
     let version = told(&["--version"])?;
@@ -83,9 +88,7 @@ fn a_backend_that_is_not_built_in_is_an_error_that_says_what_to_do() -> Result<(
     ];
     for (backend, is_built) in backends {
         if is_built {
-            // Not through `eprintln!`, which the test harness catches.
-            let line = format!("skipped: a build without {backend}: this one has it\n");
-            std::io::stderr().write_all(line.as_bytes())?;
+            skipped(&format!("a build without {backend}: this one has it"))?;
             continue;
         }
         let out = folder.path().join(backend);
@@ -125,8 +128,7 @@ fn a_machine_without_an_adapter_is_an_error_that_says_what_to_do() -> Result<(),
     let said = String::from_utf8_lossy(&listed.stdout);
     assert!(listed.status.success(), "{said}");
     if !said.contains("wgpu     no adapter") {
-        let line = "skipped: a machine without an adapter: its drivers cannot be hidden\n";
-        std::io::stderr().write_all(line.as_bytes())?;
+        skipped("a machine without an adapter: its drivers cannot be hidden")?;
         return Ok(());
     }
     let run = out.to_string_lossy();
@@ -148,8 +150,7 @@ fn devices_are_listed_with_their_limits_and_whether_a_scene_fits() -> Result<(),
     let said = told(&["devices", "--scene", demo])?;
     assert!(said.contains("flex     the CPU"), "{said}");
     if said.contains("wgpu     no adapter") {
-        let line = "skipped: devices and what fits: no adapter\n";
-        std::io::stderr().write_all(line.as_bytes())?;
+        skipped("devices and what fits: no adapter")?;
         return Ok(());
     }
     for part in [
