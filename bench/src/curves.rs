@@ -35,6 +35,7 @@ pub fn curves(
     backend: &str,
     device: &Device,
     iterations: usize,
+    seed: u64,
 ) -> Result<Vec<Curve>, Box<dyn std::error::Error>> {
     let mut curves = Vec::new();
     for (model, name) in [(BlurKind::Kernels, "kernels"), (BlurKind::Camera, "camera")] {
@@ -46,6 +47,7 @@ pub fn curves(
         let scene = || io::Scene::open_with(folder.as_ref(), &options);
         let mut settings = Settings {
             iterations: 300,
+            seed,
             ..Settings::default()
         };
         settings.blur.model = model;

@@ -105,6 +105,9 @@ enum Command {
         /// Where the results go.
         #[arg(long, default_value = "out/bench")]
         out: PathBuf,
+        /// Seed of the runs.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
     },
 }
 
@@ -119,7 +122,7 @@ fn main() -> ExitCode {
             frozen,
             ndarray,
         }) => net([*width, *height], *repeats, *frozen, *ndarray),
-        Some(Command::Curves { out }) => all_curves(out),
+        Some(Command::Curves { out, seed }) => all_curves(out, *seed),
         Some(Command::Launches {
             width,
             height,
@@ -188,7 +191,7 @@ fn net_device(ndarray: bool) -> Result<Device, Failure> {
     ndarray_device().ok_or_else(|| "build with `--features ndarray`".into())
 }
 
-fn all_curves(out: &Path) -> Result<(), Failure> {
+fn all_curves(out: &Path, seed: u64) -> Result<(), Failure> {
     let mut devices = vec![("flex", Device::flex(), 300)];
     devices.extend(ndarray_device().map(|device| ("ndarray", device, 300)));
     if let Ok(gpu) = trainer::Gpu::best("wgpu") {
@@ -203,7 +206,7 @@ fn all_curves(out: &Path) -> Result<(), Failure> {
     };
     for (backend, device, iterations) in devices {
         eprintln!("{backend}, {iterations} iterations");
-        let found = curves(backend, &device, iterations)?;
+        let found = curves(backend, &device, iterations, seed)?;
         all.retain(|curve| curve.backend != backend);
         all.extend(found);
     }

@@ -32,36 +32,24 @@ fn all_is_timed_and_said_with_what_it_was_timed_on() {
     let stages = Stages::default();
     let report =
         tracing::subscriber::with_default(stages.clone(), || time_all(&gpu, &stages, true));
-    let json = serde_json::to_value(&report).expect("JSON");
-    for part in ["parts", "iterations"] {
-        let timed = json[part].as_array().expect("a list");
-        assert!(timed.len() > 2, "{part}: {timed:?}");
-        for Timed { name, ms } in timed.iter().map(Timed::of) {
-            assert!(ms.is_some_and(|ms| ms > 0.0), "{name}: {json}");
-        }
+    let parts = report.parts.iter().map(|part| {
+        let ms = part.outcome.timed().map(|times| times.median_ms);
+        (&part.name, ms)
+    });
+    let iterations = report.iterations.iter().map(|iteration| {
+        let ms = iteration.outcome.timed().map(|i| i.alone.median_ms);
+        (&iteration.name, ms)
+    });
+    assert!(parts.len() > 2, "{:?}", report.parts);
+    assert_eq!(iterations.len(), 3, "without blur, kernels, camera");
+    for (name, ms) in parts.chain(iterations) {
+        assert!(ms.is_some_and(|ms| ms > 0.0), "{name}: {ms:?}");
     }
     assert!(report.goals.is_empty(), "goals are of full sizes");
-    assert_eq!(json["adapter"]["software"], gpu.is_software);
+    assert_eq!(report.adapter.software, gpu.is_software);
     let tables = report.tables().expect("tables");
     assert!(tables.contains(&gpu.name), "{tables}");
     assert_eq!(tables.contains("SOFTWARE"), gpu.is_software, "{tables}");
-}
-
-/// Something that was timed, as the report's JSON has it.
-struct Timed<'a> {
-    name: &'a str,
-    ms: Option<f64>,
-}
-
-impl<'a> Timed<'a> {
-    fn of(tried: &'a serde_json::Value) -> Self {
-        let timed = &tried["outcome"]["timed"];
-        let ms = timed["median_ms"].as_f64();
-        Self {
-            name: tried["name"].as_str().unwrap_or_default(),
-            ms: ms.or_else(|| timed["alone"]["median_ms"].as_f64()),
-        }
-    }
 }
 
 #[test]

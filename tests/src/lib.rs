@@ -40,10 +40,14 @@ pub fn devices() -> Vec<(&'static str, Device)> {
     devices.retain(|(name, _)| is_wanted(name));
     #[cfg(feature = "wgpu")]
     if is_wanted("wgpu") {
-        devices.extend(gpu().map(|gpu| ("wgpu", gpu.device.clone())));
-        if devices.is_empty() {
-            skipped_once("wgpu finds no adapter on this machine");
-            return devices;
+        match gpu() {
+            Ok(gpu) => devices.push(("wgpu", gpu.device.clone())),
+            Err(why) => {
+                skipped_once(&format!("wgpu: {why}"));
+                if devices.is_empty() {
+                    return devices;
+                }
+            }
         }
     }
     assert!(
@@ -89,7 +93,7 @@ pub fn quick_devices() -> Vec<(&'static str, Device)> {
 /// Whether a backend's device is a GPU that a CPU plays.
 #[cfg(feature = "wgpu")]
 fn is_software(name: &str) -> bool {
-    name == "wgpu" && gpu().is_some_and(|gpu| gpu.is_software)
+    name == "wgpu" && gpu().is_ok_and(|gpu| gpu.is_software)
 }
 
 /// Whether a backend's device is a GPU that a CPU plays.
@@ -128,24 +132,21 @@ fn ndarray() -> Device {
 
 /// The adapter that `--backend wgpu` takes: a GPU before a CPU that plays one.
 #[cfg(feature = "wgpu")]
-fn gpu() -> Option<&'static trainer::Gpu> {
+fn gpu() -> Result<&'static trainer::Gpu, &'static trainer::NoGpu> {
     use std::sync::OnceLock;
-    static FOUND: OnceLock<Option<trainer::Gpu>> = OnceLock::new();
+    static FOUND: OnceLock<Result<trainer::Gpu, trainer::NoGpu>> = OnceLock::new();
     let found = FOUND.get_or_init(|| {
-        let mut found = trainer::Gpu::found().into_iter();
-        let gpu = found.find(|gpu| gpu.runtime == "wgpu")?;
-        let played = if gpu.is_software {
-            ", played by the CPU"
-        } else {
-            ""
-        };
-        let line = format!(
-            "adapter: {}{played}
-",
-            gpu.name
-        );
-        std::io::stderr().write_all(line.as_bytes()).ok();
-        Some(gpu)
+        let found = trainer::Gpu::best("wgpu");
+        if let Ok(gpu) = &found {
+            let played = if gpu.is_software {
+                ", played by the CPU"
+            } else {
+                ""
+            };
+            let line = format!("adapter: {}{played}\n", gpu.name);
+            std::io::stderr().write_all(line.as_bytes()).ok();
+        }
+        found
     });
     found.as_ref()
 }

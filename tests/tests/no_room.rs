@@ -23,15 +23,13 @@ fn too_many(degree: usize) -> Gaussians {
 fn a_scene_that_does_not_fit_is_an_error_and_a_checkpoint_goes_on_on_the_cpu() {
     let folder = tempfile::tempdir().expect("a folder");
     // Main memory has no such limit.
-    let found = trainer::Gpu::found();
     for (name, device) in devices().iter().filter(|(name, _)| *name == "wgpu") {
         let mut trainer = Trainer::new(scene(), settings(), device).expect("a trainer");
         trainer.step().expect("a step");
         trainer.save(folder.path()).expect("a checkpoint");
         drop(trainer);
 
-        let gpu = found.iter().find(|gpu| gpu.runtime == *name);
-        if gpu.is_some_and(|gpu| gpu.largest_buffer > 1 << 30) {
+        if trainer::Gpu::best(name).is_ok_and(|gpu| gpu.largest_buffer > 1 << 30) {
             skipped(
                 "a scene that does not fit",
                 "the adapter has larger buffers",

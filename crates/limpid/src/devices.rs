@@ -99,7 +99,7 @@ fn list_gpus(
             gpu.units
         )?;
         match (gpu.refusal(), need) {
-            (Some(why), _) => writeln!(out, "         too small: {why}")?,
+            (Some(why), _) => writeln!(out, "         of no use here: {why}")?,
             (None, None) => {}
             (None, Some((table, gaussians))) => writeln!(
                 out,

@@ -1,8 +1,9 @@
 //! GPUs, and CPUs that play one, that this build's kernels can run on.
 
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor};
 use serde::Serialize;
 
+use crate::guarded::guarded;
 use crate::settings::{BlurKind, Settings};
 
 /// Storage buffers that a kernel takes at most. What CubeCL reports is one less than the adapter has, which wgpu keeps for itself:
@@ -69,8 +70,8 @@ pub enum NoGpu {
     )]
     Missing,
     /// It cannot run the kernels.
-    #[error("{name} is too small: {why}")]
-    TooSmall {
+    #[error("{name} is of no use here: {why}")]
+    Refused {
         /// As it names itself.
         name: String,
         /// As [`Gpu::refusal`].
@@ -94,7 +95,7 @@ impl Gpu {
             };
             if first == NoGpu::Missing {
                 let name = gpu.name;
-                first = NoGpu::TooSmall { name, why };
+                first = NoGpu::Refused { name, why };
             }
         }
         Err(first)
@@ -128,7 +129,7 @@ impl Gpu {
         None
     }
 
-    /// Why it cannot run the kernels, if it cannot.
+    /// Why it cannot run the kernels, if it cannot: limits that are too low, or a sum that comes out wrong on it.
     #[must_use]
     pub fn refusal(&self) -> Option<String> {
         let too_few = |what: &str, found: u64, needed: u64| {
@@ -144,6 +145,27 @@ impl Gpu {
             too_few("bytes of shared memory", found, SHARED_MEMORY as u64)
         })
         .or_else(|| too_few("units a cube", self.units.into(), UNITS.into()))
+        .or_else(|| self.wrong_sum())
+    }
+
+    /// What comes out wrong where units of a cube add up. CubeCL's SPIR-V (the feature `vulkan`) lays shared memory out wrongly for
+    /// drivers without `VK_KHR_workgroup_memory_explicit_layout`, and no driver says so.
+    fn wrong_sum(&self) -> Option<String> {
+        let values = [1.0, f32::NAN, f32::INFINITY, 2.0];
+        let found = guarded(&self.device, || {
+            let values = Tensor::<1>::from_floats(values, &self.device);
+            let counts = host::read(host::count_not_finite(&values));
+            Ok(counts.iter::<f64>().sum::<f64>())
+        });
+        let why = match found {
+            Ok(2.0) => return None,
+            Ok(found) => format!("two are counted as {found}"),
+            Err(why) => why.to_string(),
+        };
+        Some(format!(
+            "what units share is lost: {why} (a driver's mistake, or one without VK_KHR_workgroup_memory_explicit_layout in a build \
+             with the feature `vulkan`)"
+        ))
     }
 
     /// The largest table that training makes, about: of so many Gaussians, each in four tiles on average, and frames of so many

@@ -54,7 +54,7 @@ pub(super) struct Geometry {
 }
 
 #[cube]
-fn magnitude(v: Vec3) -> f32 {
+pub(super) fn magnitude(v: Vec3) -> f32 {
     v.x.abs() + v.y.abs() + v.z.abs()
 }
 

@@ -8,7 +8,7 @@ use host::cube::vec3::{Vec3, dot, load, scaled, store, sum, vec3};
 use super::body::{
     Placed, SHAPE, placed, quaternion_gradient, quaternion_matrix, sigmoid, unit_quaternion,
 };
-use super::geometry::{Geometry, Lens, project_one};
+use super::geometry::{Geometry, Lens, magnitude, project_one};
 use super::matrices::{
     Mat3, apply_transposed, load_matrix, mul_transpose3, pose_rotation, store_matrix,
     transpose_mul3,
@@ -129,11 +129,6 @@ fn norm2(a: f32, b: f32) -> f32 {
     let by = select(largest > 0.0, largest, 1.0);
     let (s, t) = (a / by, b / by);
     select(largest > 0.0, largest * (s * s + t * t).sqrt(), 0.0)
-}
-
-#[cube]
-fn magnitude(v: Vec3) -> f32 {
-    v.x.abs() + v.y.abs() + v.z.abs()
 }
 
 #[cube]

@@ -8,17 +8,16 @@ use cubecl::prelude::*;
 /// Bits of a digit, and its values.
 pub(crate) const DIGIT: u32 = 4;
 const VALUES: usize = 1 << DIGIT;
-/// Units of a cube, and pairs of each.
-const TEAM: usize = 128;
+/// Units of a cube.
+pub(crate) const UNITS: usize = 128;
+/// Pairs of a unit.
 const EACH: usize = 8;
 /// Pairs of a cube.
-pub(crate) const BLOCK: usize = TEAM * EACH;
+pub(crate) const BLOCK: usize = UNITS * EACH;
 /// Digits' counters of a table for so many blocks.
 pub(crate) const fn table(blocks: usize) -> usize {
     blocks * VALUES
 }
-/// Units of a cube.
-pub(crate) const UNITS: usize = TEAM;
 
 /// The digit of a key from bit `shift` on.
 #[cube]
@@ -32,11 +31,11 @@ fn count(keys: &[u32], counters: &mut [u32], first: usize, shift: u32) {
     let unit = UNIT_POS as usize;
     #[unroll]
     for value in 0..VALUES {
-        counters[value * TEAM + unit] = 0u32;
+        counters[value * UNITS + unit] = 0u32;
     }
     for k in 0..EACH {
         if first + k < keys.len() {
-            counters[digit(keys[first + k], shift) * TEAM + unit] += 1u32;
+            counters[digit(keys[first + k], shift) * UNITS + unit] += 1u32;
         }
     }
     sync_cube();
@@ -45,14 +44,14 @@ fn count(keys: &[u32], counters: &mut [u32], first: usize, shift: u32) {
 /// How many pairs of each block have each digit, [values, blocks].
 #[cube(launch)]
 pub(crate) fn digits_kernel(keys: &[u32], table: &mut [u32], shift: u32) {
-    let mut counters = Shared::<[u32]>::new_slice(TEAM * VALUES);
+    let mut counters = Shared::<[u32]>::new_slice(UNITS * VALUES);
     let unit = UNIT_POS as usize;
     let blocks = table.len() / VALUES;
     count(keys, &mut counters, CUBE_POS * BLOCK + unit * EACH, shift);
     if unit < VALUES && CUBE_POS < blocks {
         let mut sum = 0u32;
-        for other in 0..TEAM {
-            sum += counters[unit * TEAM + other];
+        for other in 0..UNITS {
+            sum += counters[unit * UNITS + other];
         }
         table[unit * blocks + CUBE_POS] = sum;
     }
@@ -69,16 +68,16 @@ pub(crate) fn place_kernel(
     shift: u32,
     #[comptime] numbered: bool,
 ) {
-    let mut counters = Shared::<[u32]>::new_slice(TEAM * VALUES);
+    let mut counters = Shared::<[u32]>::new_slice(UNITS * VALUES);
     let unit = UNIT_POS as usize;
     let blocks = starts.len() / VALUES;
     let first = CUBE_POS * BLOCK + unit * EACH;
     count(keys, &mut counters, first, shift);
     if unit < VALUES && CUBE_POS < blocks {
         let mut next = starts[unit * blocks + CUBE_POS];
-        for other in 0..TEAM {
-            let own = counters[unit * TEAM + other];
-            counters[unit * TEAM + other] = next;
+        for other in 0..UNITS {
+            let own = counters[unit * UNITS + other];
+            counters[unit * UNITS + other] = next;
             next += own;
         }
     }
@@ -86,7 +85,7 @@ pub(crate) fn place_kernel(
     for k in 0..EACH {
         if first + k < keys.len() {
             let key = keys[first + k];
-            let counter = digit(key, shift) * TEAM + unit;
+            let counter = digit(key, shift) * UNITS + unit;
             let place = counters[counter];
             counters[counter] = place + 1u32;
             to_keys[place as usize] = key;
