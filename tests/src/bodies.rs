@@ -3,7 +3,7 @@
 
 use crate::{noise, tensor, values, wall};
 use burn::tensor::{DType, Device, Tensor};
-use glam::{DAffine3, DQuat, DVec3};
+use glam::{DAffine3, DQuat, DVec2, DVec3};
 use io::{Frame, Image, Map, QueryTracks, Scene, TrackSample, Tracks, View};
 use splat_core::{Camera, Extra, Splats, Viewpoint, pose_rows, render};
 
@@ -19,6 +19,8 @@ const RADII: [f64; 2] = [0.28, 0.12];
 const MOMENTS: usize = 9;
 /// Light is averaged; this is near enough to the curve of sRGB.
 const GAMMA: f64 = 2.2;
+/// Time for which the shutter is open, in units of frames.
+const SHUTTER: f64 = 0.9;
 
 /// What is before the wall.
 #[derive(Clone, Copy, Debug)]
@@ -112,6 +114,18 @@ fn pose(frame: usize, moment: f64, shake: f64) -> DAffine3 {
     DAffine3::from_rotation_y(turn) * DAffine3::from_translation(-center)
 }
 
+/// How far and which way a point at a depth in the middle of the picture goes on it from when the shutter opens until it closes, px.
+#[must_use]
+pub fn streak(frame: usize, shake: f64, depth: f64) -> DVec2 {
+    let world_from_cam = pose(frame, 0.0, shake).inverse();
+    let at = |moment: f64| {
+        let there = pose(frame, moment, shake) * world_from_cam;
+        let seen = there.transform_point3(DVec3::Z * depth);
+        FOCAL * seen.truncate() / seen.z
+    };
+    at(0.5 * SHUTTER) - at(-0.5 * SHUTTER)
+}
+
 /// The scene; with a `shake` frames are blurred by a shutter that is open for 0.9 frames, without one they are sharp.
 #[must_use]
 pub fn scene(bodies: Bodies, shake: f64, device: &Device) -> Scene {
@@ -151,7 +165,7 @@ pub fn scene(bodies: Bodies, shake: f64, device: &Device) -> Scene {
         let color = if shake == 0.0 {
             middle.color()
         } else {
-            let moments = (0..MOMENTS).map(|k| 0.9 * ((k as f64 + 0.5) / MOMENTS as f64 - 0.5));
+            let moments = (0..MOMENTS).map(|k| SHUTTER * ((k as f64 + 0.5) / MOMENTS as f64 - 0.5));
             let sum =
                 moments.map(|moment| taken(moment).color().clamp(0.0, 1.0).powf_scalar(GAMMA));
             let sum = sum.reduce(|a, b| a + b).expect("moments");
