@@ -222,9 +222,9 @@ mod tests {
         assert_eq!(draft.seed, 7);
         let longer = of(&["--preset", "draft", "--iterations", "700"]);
         assert_eq!((longer.iterations, longer.camera), (700, draft.camera));
-        let set = of(&["--preset", "balanced", "--set", "camera.samples=5"]);
-        let balanced = Settings::default();
-        assert_eq!(set.iterations, balanced.iterations);
+        let set = of(&["--preset", "full", "--set", "camera.samples=5"]);
+        let full = Settings::default();
+        assert_eq!(set.iterations, full.iterations);
         assert_eq!(set.camera.samples, 5);
         assert_eq!(set.camera.spacing_px, 1.0, "a preset says nothing of it");
     }
