@@ -3,7 +3,6 @@
 use burn::tensor::{Device, Tensor};
 use serde::Serialize;
 
-use crate::guarded::guarded;
 use crate::settings::{BlurKind, Settings};
 
 /// Storage buffers that a kernel takes at most. What CubeCL reports is one less than the adapter has, which wgpu keeps for itself:
@@ -152,15 +151,13 @@ impl Gpu {
     /// drivers without `VK_KHR_workgroup_memory_explicit_layout`, and no driver says so.
     fn wrong_sum(&self) -> Option<String> {
         let values = [1.0, f32::NAN, f32::INFINITY, 2.0];
-        let found = guarded(&self.device, || {
-            let values = Tensor::<1>::from_floats(values, &self.device);
-            let counts = host::read(host::count_not_finite(&values));
-            Ok(counts.iter::<f64>().sum::<f64>())
-        });
-        let why = match found {
-            Ok(2.0) => return None,
-            Ok(found) => format!("two are counted as {found}"),
-            Err(why) => why.to_string(),
+        let values = Tensor::<1>::from_floats(values, &self.device);
+        let why = match host::try_read(host::count_not_finite(&values)) {
+            Ok(counts) => match counts.iter::<f64>().sum::<f64>() {
+                2.0 => return None,
+                found => format!("two are counted as {found}"),
+            },
+            Err(why) => why,
         };
         Some(format!(
             "what units share is lost: {why} (a driver's mistake, or one without VK_KHR_workgroup_memory_explicit_layout in a build \

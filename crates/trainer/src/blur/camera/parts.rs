@@ -58,7 +58,7 @@ impl fmt::Display for Parts {
                 "defocus is modelled, and no motion blur from here on (`camera.path = \"always\"` keeps paths)"
             }
             (false, false) => {
-                "no blur is modelled from here on (a longer run may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
+                "no blur is modelled from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
                  and `--blur kernels` has another model)"
             }
         };
