@@ -21,7 +21,7 @@ use crate::views::Views;
 use crate::world::World;
 use bpnet::HeadInit;
 use burn::tensor::{DType, Device, Tensor};
-use camera::Parts;
+use camera::Decision;
 use glam::DAffine3;
 use kernels::{KernelSums, KernelTrace};
 use serde::{Deserialize, Serialize};
@@ -57,7 +57,7 @@ pub(crate) struct Revision {
     /// Parameters with rows that are others now, and these rows.
     pub(crate) changed: Vec<(Parameter, Vec<usize>)>,
     /// What a lens and paths explain of the frames, where that was found out.
-    pub(crate) parts: Option<Parts>,
+    pub(crate) decision: Option<Decision>,
 }
 
 /// What a model shows of a view.
@@ -209,7 +209,7 @@ impl BlurModel {
         let focuses = Parameter::new("camera.focus", Group::CameraFocus);
         Ok(Revision {
             changed: vec![(paths, revised.paths), (focuses, revised.focuses)],
-            parts: revised.parts,
+            decision: revised.decision,
         })
     }
 

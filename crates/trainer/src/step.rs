@@ -175,7 +175,7 @@ impl Trainer {
         for (parameter, rows) in revision.changed {
             run.state.optimizer.zero_rows(&parameter, &rows);
         }
-        Ok(revision.parts.map(|parts| parts.to_string()))
+        Ok(revision.decision.map(|decision| decision.to_string()))
     }
 
     /// Says where a number that is not finite arose: goes back through each loss term by itself. Costs as many backward passes

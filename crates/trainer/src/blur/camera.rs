@@ -14,7 +14,7 @@ mod softness;
 mod taken;
 mod trials;
 
-pub(crate) use parts::Parts;
+pub(crate) use parts::Decision;
 pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 
 use crate::TrainError;

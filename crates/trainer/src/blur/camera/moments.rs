@@ -10,6 +10,9 @@ const VISITS: usize = 5;
 /// has of the run.
 const LATEST_TRIAL: f64 = 2.0 / 3.0;
 
+/// Of fewer frames than this, Gaussians become sharp under whatever paths they are trained with, so that these seem to pay late.
+const FRAMES_ASKED_LATE: usize = 8;
+
 /// Iterations after which something begins.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Moments {
@@ -17,8 +20,31 @@ pub(super) struct Moments {
     pub(super) from: usize,
     /// Other paths are tried on every frame.
     pub(super) trials: Vec<usize>,
-    /// The run is so short that focus has not come far by the first of them: every frame tries other distances then.
+    /// The run is so short that focus has not come far by the first of them.
+    refocuses: bool,
+    /// There are frames enough to tell late whether paths pay.
+    asks_late: bool,
+}
+
+/// One of the trials.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Trial {
+    pub(super) first: bool,
+    pub(super) last: bool,
+    /// The run is so short that focus has not come far by now: every frame tries other distances.
     pub(super) refocuses: bool,
+    pub(super) asked: Asked,
+}
+
+/// When it is asked whether paths pay.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Asked {
+    /// At the next trial, behind this iteration: by the first, mild ones have not come far.
+    Later(usize),
+    /// At the first, where there is no other, or where frames are so few that Gaussians become sharp under any paths.
+    Early,
+    /// Now that Gaussians have sharpened for long.
+    Late,
 }
 
 impl Moments {
@@ -33,6 +59,23 @@ impl Moments {
             from,
             trials: (0..count).map(trial).collect(),
             refocuses: n < PACED_ITERATIONS,
+            asks_late: num_frames >= FRAMES_ASKED_LATE,
+        }
+    }
+
+    /// The trial once `it` iterations are done.
+    pub(super) fn trial(&self, it: usize) -> Trial {
+        let first = self.trials.first() == Some(&it);
+        let asked = match self.trials.get(1) {
+            Some(second) if self.asks_late && first => Asked::Later(*second),
+            Some(_) if self.asks_late => Asked::Late,
+            _ => Asked::Early,
+        };
+        Trial {
+            first,
+            last: self.trials.last() == Some(&it),
+            refocuses: first && self.refocuses,
+            asked,
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::CameraBlur;
 use super::drift::drift;
 use super::errors::total;
+use super::moments::{Asked, Trial};
 use crate::TrainError;
 use crate::look::Look;
 use crate::settings::When;
@@ -15,6 +16,9 @@ use std::fmt;
 /// Gaussians have sharpened under what they were trained with, so that leaving it out costs something even where it was not
 /// there. (RESULTS.md, "What a trial sees", has what was seen.)
 const PATHS_PAY: f64 = 0.05;
+/// The same of paths without a lens once Gaussians have sharpened for long. Beside a lens they have to be worth more than it is by
+/// then. (RESULTS.md, "Paths that come late", has what was seen.)
+const PATHS_PAY_LATE: f64 = 0.1;
 /// The same of a lens. Less, since without it frames may be softer, each by itself, so that it is worth only what blurs things at
 /// one depth more than those at another. (RESULTS.md, "A lens that is not there", has what was seen.)
 const LENS_PAYS: f64 = 0.04;
@@ -38,54 +42,99 @@ pub(super) struct Worth {
     paths: f64,
 }
 
-/// Which parts a trial left in, and why.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Parts {
-    pub(super) worth: Worth,
-    pub(super) lens: bool,
-    pub(super) paths: bool,
+/// Which parts there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Parts {
+    paths: bool,
+    lens: bool,
 }
 
-impl fmt::Display for Parts {
+/// Which parts a trial left in, and why.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Decision {
+    parts: Parts,
+    worth: Worth,
+    /// Behind which iteration the next trial asks whether paths stay, if this one left that to it.
+    until: Option<usize>,
+}
+
+impl fmt::Display for Decision {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [lens, paths] = [self.worth.lens, self.worth.paths].map(|worth| 100.0 * worth);
-        let decision = match (self.paths, self.lens) {
-            (true, true) => "motion blur and defocus are modelled",
-            (true, false) => {
-                "motion blur is modelled, and no defocus from here on (`camera.lens = \"always\"` keeps a lens)"
-            }
-            (false, true) => {
-                "defocus is modelled, and no motion blur from here on (`camera.path = \"always\"` keeps paths)"
-            }
-            (false, false) => {
-                "no blur is modelled from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
-                 and `--blur kernels` has another model)"
-            }
-        };
+        let Self {
+            parts,
+            worth,
+            until,
+        } = self;
+        let [lens, paths] = [worth.lens, worth.paths].map(|worth| 100.0 * worth);
         write!(
             f,
-            "the error of the blurred frames changes by {lens:+.1} % without a lens and by {paths:+.1} % without paths: {decision}"
-        )
+            "the error of the blurred frames changes by {lens:+.1} % without a lens and by {paths:+.1} % without paths: "
+        )?;
+        match (parts.paths, parts.lens, until) {
+            (true, true, None) => f.write_str("motion blur and defocus are modelled"),
+            (true, true, Some(until)) => write!(
+                f,
+                "defocus is modelled, and motion blur until it is asked again (iteration {until})"
+            ),
+            (true, false, Some(until)) => write!(
+                f,
+                "no defocus is modelled from here on (`camera.lens = \"always\"` keeps a lens), and motion blur until it is asked \
+                 again (iteration {until})"
+            ),
+            (true, false, None) => f.write_str(
+                "motion blur is modelled, and no defocus from here on (`camera.lens = \"always\"` keeps a lens)",
+            ),
+            (false, true, _) => f.write_str(
+                "defocus is modelled, and no motion blur from here on (`camera.path = \"always\"` keeps paths)",
+            ),
+            (false, false, _) => f.write_str(
+                "no blur is modelled from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
+                 and `--blur kernels` has another model)",
+            ),
+        }
     }
 }
 
 impl CameraBlur {
+    /// Which parts there are.
+    pub(super) fn parts(&self) -> Parts {
+        Parts {
+            paths: is_there(&self.capture.paths),
+            lens: is_there(&self.capture.aperture),
+        }
+    }
+
+    /// What is to be said of a trial that found `worth`: at the first, and where a part has gone.
+    pub(super) fn decision(&self, before: Parts, worth: Worth, trial: &Trial) -> Option<Decision> {
+        let parts = self.parts();
+        let until = match trial.asked {
+            Asked::Later(next) if self.settings.path == When::Auto => Some(next),
+            _ => None,
+        };
+        (trial.first || parts != before).then_some(Decision {
+            parts,
+            worth,
+            until: until.filter(|_| worth.paths <= PATHS_PAY_BESIDE_LENS),
+        })
+    }
+
     /// Leaves out the lens, and then all paths, if they do not pay; returns the frames' errors with what stays, and what share of
-    /// the error lens and paths are worth. With `refocuses` every frame finds its best focus, whether the lens pays or not.
+    /// the error lens and paths are worth.
     pub(super) fn try_parts(
         &mut self,
         world: &World,
         looks: &[Look<'_>],
-        refocuses: bool,
+        trial: &Trial,
     ) -> Result<(Vec<f64>, Worth), TrainError> {
         let now = self.errors(world, looks)?;
-        let (now, lens) = self.try_without_lens(world, looks, now, refocuses)?;
-        let (now, paths) = self.try_without_paths(world, looks, now, lens)?;
+        let (now, lens) = self.try_without_lens(world, looks, now, trial.refocuses)?;
+        let (now, paths) = self.try_without_paths(world, looks, now, (lens, trial))?;
         Ok((now, Worth { lens, paths }))
     }
 
     /// Leaves the lens out if it does not pay, also with each frame in better focus; takes the frames' errors as it is, and returns
     /// them with what stays, and what share of the error the lens is worth: beyond softer frames, or where focus saved it, by itself.
+    /// With `refocuses` every frame finds its best focus, whether the lens pays or not.
     fn try_without_lens(
         &mut self,
         world: &World,
@@ -123,7 +172,7 @@ impl CameraBlur {
         world: &World,
         looks: &[Look<'_>],
         now: Vec<f64>,
-        lens: f64,
+        (lens, trial): (f64, &Trial),
     ) -> Result<(Vec<f64>, f64), TrainError> {
         if !is_there(&self.capture.paths) {
             return Ok((now, 0.0));
@@ -137,7 +186,7 @@ impl CameraBlur {
         let drifted: Vec<_> = drifted.collect();
         let worth = share_more(without.softer_scene_error(world, &drifted)?, &now);
         let has_lens = is_there(&self.capture.aperture);
-        let [lens_stays, paths_stay] = stay(has_lens.then_some(lens), worth);
+        let [lens_stays, paths_stay] = stay(has_lens.then_some(lens), worth, trial.asked);
         let paths_stay = paths_stay || self.settings.path == When::Always;
         let lens_goes = has_lens && !lens_stays && self.settings.lens != When::Always;
         if paths_stay && !lens_goes {
@@ -205,19 +254,22 @@ impl CameraBlur {
 }
 
 /// Whether a lens that pays by so much stays, and paths.
-fn stay(lens: Option<f64>, paths: f64) -> [bool; 2] {
+fn stay(lens: Option<f64>, paths: f64, asked: Asked) -> [bool; 2] {
+    let late = matches!(asked, Asked::Late);
+    let left = matches!(asked, Asked::Later(_));
     let Some(lens) = lens else {
-        return [false, paths > PATHS_PAY];
+        let least = if late { PATHS_PAY_LATE } else { PATHS_PAY };
+        return [false, left || paths > least];
     };
-    if paths > PATHS_PAY_BESIDE_LENS {
+    if paths > PATHS_PAY_BESIDE_LENS && (paths > lens || !late) {
         return [true, true];
     }
     let instead = paths > PATHS_PAY && paths > PATHS_INSTEAD * lens;
-    [!instead, instead]
+    [!instead, instead || left]
 }
 
 /// Whether any number of a part is not zero.
-pub(super) fn is_there(part: &Tensor<2>) -> bool {
+fn is_there(part: &Tensor<2>) -> bool {
     host(part.clone()).iter().any(|number| *number != 0.0)
 }
 
@@ -228,21 +280,30 @@ fn share_more(error: f64, errors: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::stay;
+    use super::{Asked, stay};
 
-    /// What first trials came to, on videos of which it is known what blurs them, and on a real one.
+    /// What trials came to, on videos of which it is known what blurs them, and on real ones: the worth of the lens and of the paths.
     #[test]
     fn lens_and_paths_stay_where_there_is_what_they_explain() {
-        for (scene, lens, paths, stays) in [
-            ("both-a", Some(0.061), 0.41, [true, true]),
-            ("motion-a", None, 1.57, [false, true]),
-            ("defocus-a", Some(0.143), 0.088, [true, false]),
-            ("defocus-a at a quarter", Some(0.05), 0.063, [true, false]),
-            ("toycar", Some(0.046), 0.104, [false, true]),
-            ("kitchen", None, -0.028, [false, false]),
+        use Asked::{Early, Late, Later};
+        for (scene, asked, lens, paths, stays) in [
+            ("both-a", Early, Some(0.061), 0.41, [true, true]),
+            ("motion-a", Early, None, 1.57, [false, true]),
+            ("defocus-a", Early, Some(0.143), 0.088, [true, false]),
+            ("defocus-a", Later(703), Some(0.154), 0.095, [true, true]),
+            ("defocus-a", Late, Some(0.682), 0.281, [true, false]),
+            ("a quarter", Early, Some(0.05), 0.063, [true, false]),
+            ("a quarter", Late, Some(0.233), 0.135, [true, false]),
+            ("toycar", Early, Some(0.046), 0.104, [false, true]),
+            ("toycar", Later(703), None, 0.014, [false, true]),
+            ("toycar", Late, None, 0.186, [false, true]),
+            ("toycar", Late, Some(0.086), 0.17, [true, true]),
+            ("kitchen", Early, None, -0.028, [false, false]),
+            ("kitchen", Late, None, 0.052, [false, false]),
+            ("sharp-a", Late, None, 0.004, [false, false]),
         ] {
-            assert_eq!(stay(lens, paths), stays, "{scene}");
+            assert_eq!(stay(lens, paths, asked), stays, "{scene}, {asked:?}");
         }
-        assert_eq!(stay(Some(0.2), f64::NAN), [true, false]);
+        assert_eq!(stay(Some(0.2), f64::NAN, Late), [true, false]);
     }
 }

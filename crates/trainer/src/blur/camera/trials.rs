@@ -2,7 +2,7 @@
 //! run every frame tries others, with the Gaussians as they are, and keeps what explains it best.
 
 use super::CameraBlur;
-use super::parts::{Parts, is_there};
+use super::parts::Decision;
 use crate::TrainError;
 use crate::look::Look;
 use crate::statistics::median;
@@ -29,8 +29,8 @@ pub(in crate::blur) struct Revised {
     /// Frames whose path changed, and whose focus.
     pub(in crate::blur) paths: Vec<usize>,
     pub(in crate::blur) focuses: Vec<usize>,
-    /// Which parts stay and what they were worth, at the first trial.
-    pub(in crate::blur) parts: Option<Parts>,
+    /// Which parts stay and what they were worth, at the first trial and where one goes.
+    pub(in crate::blur) decision: Option<Decision>,
 }
 
 impl CameraBlur {
@@ -44,41 +44,36 @@ impl CameraBlur {
     ) -> Result<Revised, TrainError> {
         let _span = trace_span!("trials").entered();
         let world = world.detached();
-        let it = looks.first().map(|look| look.iteration);
-        let last = self.moments.trials.last() == it.as_ref();
-        let mut trial = self.clone();
-        for (_, tensor) in trial.parameters_mut() {
+        let it = looks.first().map_or(0, |look| look.iteration);
+        let trial = self.moments.trial(it);
+        let mut tried = self.clone();
+        for (_, tensor) in tried.parameters_mut() {
             *tensor = constant(tensor);
         }
-        trial.settings.samples = trial.settings.samples.max(TRIED_SAMPLES);
-        let focus = host(trial.capture.focus.clone());
-        let first = self.moments.trials.first() == it.as_ref();
-        let refocuses = first && self.moments.refocuses;
-        let (mut now, worth) = trial.try_parts(&world, looks, refocuses)?;
-        let focused = host(trial.capture.focus.clone());
+        tried.settings.samples = tried.settings.samples.max(TRIED_SAMPLES);
+        let focus = host(tried.capture.focus.clone());
+        let before = tried.parts();
+        let (mut now, worth) = tried.try_parts(&world, looks, &trial)?;
+        let focused = host(tried.capture.focus.clone());
         let focuses = (0..focus.len()).filter(|&i| focus[i] != focused[i]);
-        if last {
-            now = trial.try_apertures(&world, looks, now)?;
+        if trial.last {
+            now = tried.try_apertures(&world, looks, now)?;
         }
-        let paths = trial.try_paths(&world, looks, &now, last)?;
-        let [lens, moves] = [&trial.capture.aperture, &trial.capture.paths].map(is_there);
+        let paths = tried.try_paths(&world, looks, &now, trial.last)?;
+        let decision = tried.decision(before, worth, &trial);
         for ((_, own), (_, found)) in self
             .parameters_mut()
             .into_iter()
-            .zip(trial.parameters_mut())
+            .zip(tried.parameters_mut())
         {
             *own = leaf(found.clone().inner(), true);
         }
         self.shared = None;
-        self.explained = trial.explained;
+        self.explained = tried.explained;
         Ok(Revised {
             paths,
             focuses: focuses.collect(),
-            parts: first.then_some(Parts {
-                worth,
-                lens,
-                paths: moves,
-            }),
+            decision,
         })
     }
 
