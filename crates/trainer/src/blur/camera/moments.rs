@@ -29,8 +29,9 @@ pub(super) struct Moments {
 /// One of the trials.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Trial {
-    pub(super) first: bool,
     pub(super) last: bool,
+    /// It says what it finds: the first, and the second where paths are left to it.
+    pub(super) says: bool,
     /// The run is so short that focus has not come far by now: every frame tries other distances.
     pub(super) refocuses: bool,
     pub(super) asked: Asked,
@@ -72,7 +73,7 @@ impl Moments {
             _ => Asked::Early,
         };
         Trial {
-            first,
+            says: first || self.asks_late && self.trials.get(1) == Some(&it),
             last: self.trials.last() == Some(&it),
             refocuses: first && self.refocuses,
             asked,

@@ -29,7 +29,7 @@ pub(in crate::blur) struct Revised {
     /// Frames whose path changed, and whose focus.
     pub(in crate::blur) paths: Vec<usize>,
     pub(in crate::blur) focuses: Vec<usize>,
-    /// Which parts stay and what they were worth, at the first trial and where one goes.
+    /// Which parts stay and what they were worth, where that is to be said.
     pub(in crate::blur) decision: Option<Decision>,
 }
 
