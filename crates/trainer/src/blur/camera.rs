@@ -2,6 +2,7 @@
 //! lens, each a render of the sharp scene.
 
 mod account;
+mod drift;
 mod errors;
 mod foretold;
 mod grown;
@@ -106,7 +107,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
-            scene_shift: SceneShift::of(&views.train).drifting(),
+            scene_shift: SceneShift::of(&views.train),
             accelerations: Accelerations::of(&views.train, survey.scene_size),
             shared: None,
             explained: vec![true; focal.len()],
