@@ -66,16 +66,17 @@ impl Moments {
 
     /// The trial once `it` iterations are done.
     pub(super) fn trial(&self, it: usize) -> Trial {
-        let first = self.trials.first() == Some(&it);
-        let asked = match self.trials.get(1) {
-            Some(second) if self.asks_late && first => Asked::Later(*second),
+        let [first, second, last] = [self.trials.first(), self.trials.get(1), self.trials.last()]
+            .map(Option::<&usize>::copied);
+        let asked = match second {
+            Some(second) if self.asks_late && Some(it) == first => Asked::Later(second),
             Some(_) if self.asks_late => Asked::Late,
             _ => Asked::Early,
         };
         Trial {
-            says: first || self.asks_late && self.trials.get(1) == Some(&it),
-            last: self.trials.last() == Some(&it),
-            refocuses: first && self.refocuses,
+            last: Some(it) == last,
+            says: Some(it) == first || self.asks_late && Some(it) == second,
+            refocuses: Some(it) == first && self.refocuses,
             asked,
         }
     }
@@ -108,5 +109,28 @@ mod tests {
         assert_eq!(Moments::new(3000, 150).trials, [1000, 1750]);
         assert_eq!(Moments::new(500, 24).trials, [245, 365]);
         assert_eq!(Moments::new(1000, 300).trials, [750]);
+    }
+
+    #[test]
+    fn paths_are_left_to_a_second_trial_where_it_can_tell() {
+        use Asked::{Early, Late, Later};
+        for (n, frames, asked) in [
+            (3000, 24, vec![Later(703), Late, Late, Late]),
+            (3000, 8, vec![Later(703), Late, Late, Late]),
+            (3000, 7, vec![Early; 4]),
+            (500, 24, vec![Later(365), Late]),
+            (1000, 300, vec![Early]),
+        ] {
+            let moments = Moments::new(n, frames);
+            let trials = moments.trials.iter().map(|it| moments.trial(*it));
+            let trials: Vec<_> = trials.collect();
+            let found = trials.iter().map(|trial| trial.asked);
+            assert_eq!(found.collect::<Vec<_>>(), asked, "{n}, {frames}");
+            for (k, trial) in trials.iter().enumerate() {
+                let says = k == 0 || k == 1 && asked[1] == Late;
+                assert_eq!(trial.says, says, "{n}, {frames}: {k}");
+                assert_eq!(trial.last, k + 1 == asked.len(), "{n}, {frames}: {k}");
+            }
+        }
     }
 }
