@@ -7,6 +7,7 @@ use crate::failure::Failure;
 use crate::moments::{Moments, within};
 use crate::numbered::Numbered;
 use crate::say::{conclude, say};
+use clap::ValueEnum;
 use io::{ExportedView, Gaussians, Glb, GlbPart, RigidMotion, SparsePoint};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -32,25 +33,15 @@ pub(crate) struct ExportArguments {
     /// Leave out spherical harmonics over this degree: files of degree 0 are a quarter of the size, without view-dependent colour.
     #[arg(long, value_name = "DEGREE", value_parser = clap::value_parser!(u8).range(0..=3))]
     sh_degree: Option<u8>,
-    /// With glb: training frames in a second of its animation.
-    #[arg(
-        long,
-        value_name = "FPS",
-        default_value_t = 24.0,
-        allow_negative_numbers = true
-    )]
-    fps: f64,
-    /// With glb: how near pictures of movers in rigid parts have to come to their own, in dB.
-    #[arg(
-        long,
-        value_name = "DB",
-        default_value_t = 35.0,
-        allow_negative_numbers = true
-    )]
-    fidelity: f64,
-    /// With glb: rigid parts that movers are cut into at most.
-    #[arg(long, value_name = "N", default_value_t = 256)]
-    nodes: usize,
+    /// With glb: training frames in a second of its animation [default: 24].
+    #[arg(long, value_name = "FPS", allow_negative_numbers = true)]
+    fps: Option<f64>,
+    /// With glb: how near pictures of movers in rigid parts have to come to their own, in dB [default: 35].
+    #[arg(long, value_name = "DB", allow_negative_numbers = true)]
+    fidelity: Option<f64>,
+    /// With glb: rigid parts that movers are cut into at most [default: 256].
+    #[arg(long, value_name = "N")]
+    nodes: Option<usize>,
     /// Where tensors live [default: where they did in training].
     #[arg(long)]
     backend: Option<Backend>,
@@ -60,6 +51,54 @@ impl ExportArguments {
     /// Whether movers move in what is written.
     fn is_animated(&self) -> bool {
         self.format.contains(&Format::Glb) && self.at.is_empty()
+    }
+
+    /// Refuses a flag that would be without effect on all that is written.
+    fn check_flags(&self) -> Result<(), Failure> {
+        use Format::{Canonical, Glb, Ply, PlySequence, Spz};
+        let has_moments = !self.at.is_empty();
+        let [of_rows, of_stills, of_animations] = if has_moments {
+            [&[PlySequence][..], &[PlySequence], &[]]
+        } else {
+            [&[PlySequence][..], &[PlySequence, Ply, Spz], &[Glb]]
+        };
+        let mut given = vec![
+            ("--at", has_moments, &[Ply, Glb, Spz][..]),
+            (
+                "--sh-degree",
+                self.sh_degree.is_some(),
+                &[Canonical, Ply, PlySequence, Glb, Spz],
+            ),
+            ("--fps", self.fps.is_some(), of_animations),
+            ("--fidelity", self.fidelity.is_some(), of_animations),
+            ("--nodes", self.nodes.is_some(), of_animations),
+        ];
+        for flag in self.moments.given() {
+            let known = if flag == "--from" { of_stills } else { of_rows };
+            given.push((flag, true, known));
+        }
+        for (flag, is_given, known) in given {
+            if is_given && !self.format.iter().any(|format| known.contains(format)) {
+                let names = |formats: &[Format]| -> String {
+                    let names = formats.iter().filter_map(ValueEnum::to_possible_value);
+                    names
+                        .map(|name| name.get_name().to_owned())
+                        .collect::<Vec<_>>()
+                        .join(", ")
+                };
+                let remedy = if known.is_empty() {
+                    "is for glb without --at".to_owned()
+                } else {
+                    format!("is for {}", names(known))
+                };
+                return Err(format!(
+                    "{flag} changes nothing of what is asked for ({}): it {remedy}; leave it out",
+                    names(&self.format)
+                )
+                .into());
+            }
+        }
+        Ok(())
     }
 }
 
@@ -96,6 +135,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
                 .into(),
         );
     }
+    arguments.check_flags()?;
     let stills = if arguments.at.is_empty() {
         &moments[..1]
     } else {
@@ -227,12 +267,9 @@ fn still(name: &str, gaussians: Gaussians) -> GlbPart {
 
 /// What stands still as one part, and movers as rigid ones; an error where that shows.
 fn moving(run: &Run, arguments: &ExportArguments) -> Result<Glb, Failure> {
-    let ExportArguments {
-        fidelity,
-        nodes,
-        fps,
-        ..
-    } = *arguments;
+    let fps = arguments.fps.unwrap_or(24.0);
+    let fidelity = arguments.fidelity.unwrap_or(35.0);
+    let nodes = arguments.nodes.unwrap_or(256);
     if !(fps.is_finite() && fps > 0.0) {
         return Err(format!("--fps {fps}: a number over 0 is expected").into());
     }

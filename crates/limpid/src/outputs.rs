@@ -49,8 +49,10 @@ pub(crate) struct Metrics<'a> {
 /// Refuses a folder that holds another run's results, unless they are to be replaced; one that holds such names and no
 /// configuration of ours is left alone in any case.
 pub(crate) fn check_folder(out: &Path, replace: bool) -> Result<(), Failure> {
-    if out.symlink_metadata().is_ok() && !out.is_dir() {
-        return Err(format!("{} is no folder; choose another with --out", out.display()).into());
+    // Itself, or the nearest of those that it would be made in.
+    let there = out.ancestors().find(|at| at.symlink_metadata().is_ok());
+    if let Some(file) = there.filter(|at| !at.is_dir()) {
+        return Err(format!("{} is no folder; choose another with --out", file.display()).into());
     }
     let Some(name) = RESULTS.iter().find(|name| out.join(name).exists()) else {
         return Ok(());

@@ -178,14 +178,33 @@ impl Started {
             }
             let asked = save.take();
             if !trainer.is_done() && (asked || checkpoints.is_due(report.iteration)) {
+                if let Err(problem) = restore(out, config) {
+                    say!("warning: {}", with_causes(&*problem));
+                }
                 checkpoints.save_on_the_way(trainer);
             }
         }
         progress.finish();
+        restore(out, config)?;
         checkpoints.save(trainer)?;
         stop.saved();
         Ok(())
     }
+}
+
+/// Makes a run's folder anew where it was removed, or moved away, while it trained: without its configuration nothing could go on
+/// with what is written there.
+fn restore(out: &Path, config: &Config) -> Result<(), Failure> {
+    let file = out.join(CONFIG_FILE);
+    if file.exists() {
+        return Ok(());
+    }
+    say!(
+        "warning: {} is gone, and with it the log so far; it is written again, with the folder if need be",
+        file.display()
+    );
+    std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()))?;
+    Ok(io::write_json(&file, config)?)
 }
 
 /// What a new run is asked for.

@@ -126,6 +126,31 @@ fn exports(run: &Path) -> Outcome {
     fs::remove_file(out.join("ply/notes.txt"))?;
     said(&["export", name, "--format", "ply-sequence"], None)?;
 
+    // What would change nothing is no flag of this.
+    for (asked, flag, is_for) in [
+        (&["ply", "--fps", "12"][..], "--fps", "is for glb"),
+        (
+            &["glb", "--at", "3", "--nodes", "4"],
+            "--nodes",
+            "without --at",
+        ),
+        (&["canonical,colmap", "--at", "3"], "--at", "ply, glb, spz"),
+        (
+            &["ply", "--at", "3", "--from", "1"],
+            "--from",
+            "ply-sequence",
+        ),
+        (&["spz", "--step", "2"], "--step", "ply-sequence"),
+        (
+            &["transforms", "--sh-degree", "0"],
+            "--sh-degree",
+            "canonical",
+        ),
+    ] {
+        let text = refusal(&[&["export", name, "--format"], asked].concat())?;
+        assert!(text.contains(flag) && text.contains(is_for), "{text}");
+    }
+
     // In one part movers are not what they are, and to those who ask for less they are.
     let text = refusal(&[
         "export",

@@ -1,5 +1,7 @@
 //! The program as a user meets it: what it says, with which exit code, and what is left when something is in its way.
 
+mod checkpoints;
+
 use std::error::Error;
 use std::fs;
 use std::io::{BufRead as _, BufReader};
@@ -220,168 +222,12 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
     Ok(())
 }
 
-/// As `kill -9` does.
-fn kill(mut run: Child) -> Outcome {
-    run.kill()?;
-    run.wait()?;
-    Ok(())
-}
-
 /// What a run that is refused says.
 fn refusal(args: &[&str]) -> Result<String, Box<dyn Error>> {
     let refused = output(args)?;
     let said = text(&refused.stderr);
     assert!(!refused.status.success(), "{args:?}: {said}");
     Ok(said)
-}
-
-#[test]
-fn a_run_that_was_killed_before_its_first_checkpoint_starts_anew() -> Outcome {
-    let folder = tempfile::tempdir()?;
-    let out = folder.path().join("run");
-    let (run, _lines) = start(&out, &[])?;
-    wait_for(&out.join("config.json"))?;
-    kill(run)?;
-    let (again, lines) = start(&out, &[])?;
-    let said = lines.lines().collect::<Result<Vec<_>, _>>()?.concat();
-    assert!(!again.wait_with_output()?.status.success(), "{said}");
-    assert!(
-        said.contains("nothing was saved") && said.contains("--force starts anew"),
-        "{said}"
-    );
-    assert!(!said.contains("--resume"), "{said}");
-    let said = refusal(&["train", "--resume", "--out", path(&out)])?;
-    assert!(
-        said.contains("no checkpoint was saved") && said.contains("--force and without --resume"),
-        "{said}"
-    );
-    let (anew, _lines) = start(&out, &["--force"])?;
-    wait_for(&out.join("checkpoint"))?;
-    kill(anew)
-}
-
-/// Checkpoints by time, and by the number of iterations not at all.
-#[test]
-fn a_run_that_was_killed_goes_on_with_its_own_settings_or_names_the_difference() -> Outcome {
-    let folder = tempfile::tempdir()?;
-    let out = folder.path().join("run");
-    let by_time = [
-        "--set",
-        "checkpoint_every=0",
-        "--set",
-        "checkpoint_minutes=0.001",
-    ];
-    let (run, lines) = start(&out, &by_time)?;
-    let last = out.join("checkpoint").join("state.safetensors");
-    let before = out.join("checkpoint").join("previous.safetensors");
-    wait_for(&before)?;
-    kill(run)?;
-    drop(lines);
-    assert!(!out.join("metrics.json").exists(), "it was on its way");
-
-    for (more, said) in [
-        (["--downscale", "4"], "`downscale` is 4 here and 5"),
-        (
-            ["--blur", "kernels"],
-            "`blur.model` is \"kernels\" here and \"camera\"",
-        ),
-        (["--seed", "3"], "`seed` is 3 here and 1"),
-        (["--set", "learning_rates.means=0.001"], "--allow-change"),
-    ] {
-        let mut args = vec!["train", "--resume", "--out", path(&out)];
-        args.extend(more);
-        let refused = refusal(&args)?;
-        assert!(refused.contains(said), "{refused}");
-    }
-
-    // A byte that fell over in the last checkpoint costs one interval, and it is said.
-    let mut bytes = fs::read(&last)?;
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 4;
-    fs::write(&last, bytes)?;
-    let (mut resumed, lines) = start(
-        &out,
-        &[
-            "--resume",
-            "--iterations",
-            "210",
-            "--set",
-            "learning_rates.sh_dc=0.002",
-            "--allow-change",
-        ],
-    )?;
-    let said: Vec<String> = lines.lines().collect::<Result<_, _>>()?;
-    assert!(resumed.wait()?.success(), "{said:?}");
-    for words in [
-        "it is damaged",
-        "taken is the one before it",
-        "The schedule stays that of 200 iterations",
-        "learning_rates.sh_dc: 0.002 in the place of 0.0025",
-    ] {
-        assert!(
-            said.iter().any(|line| line.contains(words)),
-            "{words}: {said:?}"
-        );
-    }
-    for file in ["config.json", "metrics.json"] {
-        let json: serde_json::Value = serde_json::from_str(&fs::read_to_string(out.join(file))?)?;
-        assert_eq!(json["settings"]["iterations"], 210, "{file}");
-        let changes = json["changes"].as_array().ok_or("changes")?;
-        let named: Vec<&str> = changes
-            .iter()
-            .filter_map(|c| c["setting"].as_str())
-            .collect();
-        assert_eq!(named, ["iterations", "learning_rates.sh_dc"], "{file}");
-        assert!(
-            changes.iter().all(|c| c["iteration"].as_u64() > Some(0)),
-            "{file}"
-        );
-    }
-
-    // The same settings are no difference, however they are given.
-    let config = out.join("config.json");
-    let again = output(&[
-        "train",
-        "--resume",
-        "--out",
-        path(&out),
-        "--config",
-        path(&config),
-    ])?;
-    assert!(again.status.success(), "{}", text(&again.stderr));
-    fs::remove_file(&last)?;
-    let scores = output(&["eval", path(&out)])?;
-    assert!(scores.status.success(), "{}", text(&scores.stderr));
-    assert!(text(&scores.stderr).contains("taken is the one before it"));
-    fs::write(&before, "")?;
-    fs::write(&last, "")?;
-    let said = refusal(&["eval", path(&out)])?;
-    assert!(
-        said.contains("previous.safetensors") && said.contains("state.safetensors"),
-        "{said}"
-    );
-    Ok(())
-}
-
-#[cfg(unix)]
-#[test]
-fn sigusr1_asks_for_a_checkpoint_and_no_end() -> Outcome {
-    let folder = tempfile::tempdir()?;
-    let out = folder.path().join("run");
-    let (mut run, lines) = start(&out, &[])?;
-    wait_for(&out.join("config.json"))?;
-    let mut signal = Command::new("kill");
-    signal.args(["-USR1", &run.id().to_string()]);
-    assert!(signal.status()?.success(), "the signal was sent");
-    let said: Vec<String> = lines.lines().collect::<Result<_, _>>()?;
-    assert!(run.wait()?.success(), "{said:?}");
-    let checkpoint = out.join("checkpoint");
-    assert!(checkpoint.join("state.safetensors").exists(), "at the end");
-    assert!(
-        checkpoint.join("previous.safetensors").exists(),
-        "on the way"
-    );
-    Ok(())
 }
 
 #[test]
@@ -405,28 +251,6 @@ fn a_mistake_in_a_setting_is_named_with_its_place() -> Outcome {
     for part in ["line 3", "a.toml", "did you mean `blur.kernel_size`?"] {
         assert!(said.contains(part), "{said}");
     }
-    Ok(())
-}
-
-#[test]
-fn a_checkpoint_that_cannot_be_written_is_a_warning_until_the_end() -> Outcome {
-    let folder = tempfile::tempdir()?;
-    let out = folder.path().join("run");
-    let (mut run, lines) = start(&out, &["--set", "checkpoint_every=20"])?;
-    wait_for(&out.join("config.json"))?;
-    // A file where the folder of checkpoints should be.
-    let obstacle = out.join("checkpoint");
-    fs::write(&obstacle, "")?;
-    let mut warned = false;
-    for line in lines.lines() {
-        if line?.contains("warning: no checkpoint after iteration") && !warned {
-            warned = true;
-            fs::remove_file(&obstacle)?;
-        }
-    }
-    assert!(warned, "it said so");
-    assert!(run.wait()?.success(), "the last one could be written");
-    assert!(obstacle.is_dir() && out.join("metrics.json").exists());
     Ok(())
 }
 
@@ -492,6 +316,23 @@ fn a_scene_is_checked_by_itself_and_before_it_is_trained_on() -> Outcome {
     assert!(!replacing.status.success(), "{}", text(&replacing.stderr));
     let unchecked = limpid(&train).args(short).arg("--unchecked").output()?;
     assert!(unchecked.status.success(), "{}", text(&unchecked.stderr));
+    Ok(())
+}
+
+#[test]
+fn results_cannot_go_into_a_file() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("file");
+    fs::write(&file, "mine")?;
+    for out in [file.clone(), file.join("run"), file.join("a/run")] {
+        let said = refusal(&["train", "--scene", DEMO, "--out", path(&out)])?;
+        assert!(said.contains("file is no folder"), "{said}");
+        assert!(
+            !said.contains("Gaussians"),
+            "before anything is read: {said}"
+        );
+    }
+    assert_eq!(fs::read_to_string(&file)?, "mine");
     Ok(())
 }
 
