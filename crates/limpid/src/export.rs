@@ -7,7 +7,6 @@ use crate::failure::Failure;
 use crate::moments::{Moments, within};
 use crate::numbered::Numbered;
 use crate::say::{conclude, say};
-use clap::ValueEnum;
 use io::{ExportedView, Gaussians, Glb, GlbPart, RigidMotion, SparsePoint};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -53,47 +52,43 @@ impl ExportArguments {
         self.format.contains(&Format::Glb) && self.at.is_empty()
     }
 
-    /// Refuses a flag that would be without effect on all that is written.
-    fn check_flags(&self) -> Result<(), Failure> {
+    /// An error for a flag that changes nothing of what is written.
+    fn check(&self) -> Result<(), Failure> {
         use Format::{Canonical, Glb, Ply, PlySequence, Spz};
-        let has_moments = !self.at.is_empty();
-        let [of_rows, of_stills, of_animations] = if has_moments {
-            [&[PlySequence][..], &[PlySequence], &[]]
-        } else {
-            [&[PlySequence][..], &[PlySequence, Ply, Spz], &[Glb]]
-        };
-        let mut given = vec![
-            ("--at", has_moments, &[Ply, Glb, Spz][..]),
-            (
-                "--sh-degree",
-                self.sh_degree.is_some(),
-                &[Canonical, Ply, PlySequence, Glb, Spz],
-            ),
-            ("--fps", self.fps.is_some(), of_animations),
-            ("--fidelity", self.fidelity.is_some(), of_animations),
-            ("--nodes", self.nodes.is_some(), of_animations),
-        ];
-        for flag in self.moments.given() {
-            let known = if flag == "--from" { of_stills } else { of_rows };
-            given.push((flag, true, known));
+        if self.is_animated() && self.moments.are_given() {
+            return Err(
+                "glb: its animation has all moments of the video; leave --from, --to and --step out, or name one with --at"
+                    .into(),
+            );
         }
-        for (flag, is_given, known) in given {
-            if is_given && !self.format.iter().any(|format| known.contains(format)) {
-                let names = |formats: &[Format]| -> String {
-                    let names = formats.iter().filter_map(ValueEnum::to_possible_value);
-                    names
-                        .map(|name| name.get_name().to_owned())
-                        .collect::<Vec<_>>()
-                        .join(", ")
-                };
-                let remedy = if known.is_empty() {
-                    "is for glb without --at".to_owned()
-                } else {
-                    format!("is for {}", names(known))
-                };
+        let has_moments = !self.at.is_empty();
+        let writes = |formats: &[Format]| formats.iter().any(|one| self.format.contains(one));
+        let stills = writes(&[Ply, Glb, Spz]);
+        let gaussians = stills || writes(&[Canonical, PlySequence]);
+        let animation = (self.is_animated(), "glb without --at");
+        let [from, to, step] = self.moments.flags();
+        let begins = writes(&[PlySequence]) || !has_moments && stills;
+        let row = (writes(&[PlySequence]), "ply-sequence");
+        let flags = [
+            (("--at", has_moments), (stills, "ply, glb, spz")),
+            (
+                ("--sh-degree", self.sh_degree.is_some()),
+                (gaussians, "canonical, ply, ply-sequence, glb, spz"),
+            ),
+            (("--fps", self.fps.is_some()), animation),
+            (("--fidelity", self.fidelity.is_some()), animation),
+            (("--nodes", self.nodes.is_some()), animation),
+            (
+                from,
+                (begins, "ply-sequence, and for ply and spz without --at"),
+            ),
+            (to, row),
+            (step, row),
+        ];
+        for ((flag, is_given), (has_effect, what)) in flags {
+            if is_given && !has_effect {
                 return Err(format!(
-                    "{flag} changes nothing of what is asked for ({}): it {remedy}; leave it out",
-                    names(&self.format)
+                    "{flag} is for {what}, and changes nothing of what is asked for; leave it out"
                 )
                 .into());
             }
@@ -122,6 +117,7 @@ enum Format {
 }
 
 pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
+    arguments.check()?;
     let config = Config::of_run(&arguments.run)?.on(arguments.backend);
     let run = checkpoints::open(&arguments.run, &config)?;
     arguments
@@ -129,13 +125,6 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
         .iter()
         .try_for_each(|time| within(&run, "--at", *time))?;
     let moments = arguments.moments.of(&run)?;
-    if arguments.is_animated() && arguments.moments.are_given() {
-        return Err(
-            "glb: its animation has all moments of the video; leave --from, --to and --step out, or name one with --at"
-                .into(),
-        );
-    }
-    arguments.check_flags()?;
     let stills = if arguments.at.is_empty() {
         &moments[..1]
     } else {

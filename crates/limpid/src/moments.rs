@@ -28,18 +28,16 @@ pub(crate) struct Moments {
 impl Moments {
     /// Whether any was asked for.
     pub(crate) fn are_given(&self) -> bool {
-        !self.given().is_empty()
+        self.flags().iter().any(|(_, is_given)| *is_given)
     }
 
-    /// The flags that ask for them.
-    pub(crate) fn given(&self) -> Vec<&'static str> {
-        let flags = [
+    /// The flags, and whether each was given.
+    pub(crate) fn flags(&self) -> [(&'static str, bool); 3] {
+        [
             ("--from", self.from.is_some()),
             ("--to", self.to.is_some()),
             ("--step", self.step != 1.0),
-        ];
-        let given = flags.into_iter().filter(|(_, is_given)| *is_given);
-        given.map(|(flag, _)| flag).collect()
+        ]
     }
 
     /// All of them, of which there is at least one.

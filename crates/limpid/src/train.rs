@@ -200,7 +200,7 @@ fn restore(out: &Path, config: &Config) -> Result<(), Failure> {
         return Ok(());
     }
     say!(
-        "warning: {} is gone, and with it the log so far; it is written again, with the folder if need be",
+        "warning: {} is gone: it is written again, in a folder made anew if need be; what else was removed, such as the log, is lost",
         file.display()
     );
     std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()))?;

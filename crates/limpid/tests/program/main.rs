@@ -1,7 +1,10 @@
 //! The program as a user meets it: what it says, with which exit code, and what is left when something is in its way.
 
 mod checkpoints;
+#[path = "../common/mod.rs"]
+mod common;
 
+use common::copy;
 use std::error::Error;
 use std::fs;
 use std::io::{BufRead as _, BufReader};
@@ -250,21 +253,6 @@ fn a_mistake_in_a_setting_is_named_with_its_place() -> Outcome {
     assert!(!wrong.status.success());
     for part in ["line 3", "a.toml", "did you mean `blur.kernel_size`?"] {
         assert!(said.contains(part), "{said}");
-    }
-    Ok(())
-}
-
-/// Copies a folder with everything in it.
-fn copy(from: &Path, to: &Path) -> Outcome {
-    fs::create_dir_all(to)?;
-    for entry in fs::read_dir(from)? {
-        let entry = entry?;
-        let target = to.join(entry.file_name());
-        if entry.file_type()?.is_dir() {
-            copy(&entry.path(), &target)?;
-        } else {
-            fs::copy(entry.path(), target)?;
-        }
     }
     Ok(())
 }

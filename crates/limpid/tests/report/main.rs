@@ -6,11 +6,14 @@
 #![cfg(unix)]
 
 mod browser;
+#[path = "../common/mod.rs"]
+mod common;
 mod watch;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use browser::{Browser, Outcome, chromium};
+use common::copy;
 use std::fs;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
@@ -42,21 +45,6 @@ fn limpid(args: &[&str]) -> Outcome<String> {
         String::from_utf8_lossy(&ran.stderr)
     );
     Ok(String::from_utf8(ran.stdout)? + &String::from_utf8(ran.stderr)?)
-}
-
-/// A copy of a folder.
-fn copy(from: &Path, to: &Path) -> Outcome {
-    fs::create_dir_all(to)?;
-    for entry in fs::read_dir(from)? {
-        let entry = entry?;
-        let to = to.join(entry.file_name());
-        if entry.file_type()?.is_dir() {
-            copy(&entry.path(), &to)?;
-        } else {
-            fs::copy(entry.path(), to)?;
-        }
-    }
-    Ok(())
 }
 
 /// The shortest run on the demo at half its size, moved into a scene with a hostile name.
