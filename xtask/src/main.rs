@@ -265,14 +265,27 @@ fn backend_tests(backend: &str) -> Vec<String> {
         .iter()
         .flat_map(|package| entries(&package.join("tests")))
         .filter(|path| {
-            let source = fs::read_to_string(path).unwrap_or_default();
-            path.extension() == Some(OsStr::new("rs"))
-                && asks.iter().any(|ask| source.contains(ask))
+            let asking = |file: &PathBuf| {
+                let source = fs::read_to_string(file).unwrap_or_default();
+                asks.iter().any(|ask| source.contains(ask))
+            };
+            target_files(path).iter().any(asking)
         })
         .filter_map(|path| Some(path.file_stem()?.to_str()?.to_owned()))
         .collect();
     tests.sort();
     tests
+}
+
+/// The files of a test target, which is a file, or a folder with a `main.rs`; none of what is no target.
+fn target_files(path: &Path) -> Vec<PathBuf> {
+    let is_rust = |path: &PathBuf| path.extension() == Some(OsStr::new("rs"));
+    let files = if path.join("main.rs").exists() {
+        entries(path)
+    } else {
+        vec![path.to_owned()]
+    };
+    files.into_iter().filter(is_rust).collect()
 }
 
 /// What stands in a folder; nothing where there is none.
