@@ -4,13 +4,14 @@
 //! it starts shares the profile and the features of a plain `cargo test --workspace`, so that nothing
 //! is compiled twice.
 
+mod cargo;
+mod ci;
+
+use cargo::{become_command, cargo, cargo_in_root, root, wait};
+use ci::{STEPS, ci};
 use std::env;
 use std::ffi::{OsStr, OsString};
-use std::fs;
-use std::io::{BufRead as _, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
-use std::time::Instant;
+use std::process::{Command, ExitCode};
 
 const HELP: &str = "\
 cargo xtask COMMAND
@@ -57,79 +58,6 @@ const BENCH: [&[&str]; 2] = [
 
 /// What `bless` starts.
 const BLESS: [&str; 4] = ["test", "--workspace", "--test", "golden"];
-
-/// A step of `ci`: its name, cargo's arguments, and a variable of the environment.
-type Step = (
-    &'static str,
-    &'static [&'static str],
-    (&'static str, &'static str),
-);
-
-/// The variable that names the backends whose tests run. A step that sets it runs [`backend_tests`] alone: all others are the
-/// same on every backend, and the step `test` has run them.
-const BACKENDS: &str = "LIMPID_BACKENDS";
-
-/// What compiles all backends that tests know: one build for every step that needs another one than the default.
-const ALL_BACKENDS: &str = "limpid-tests/ndarray,limpid-tests/wgpu,limpid/wgpu,limpid-bench/wgpu";
-
-/// The steps of `ci`, in their order. Where Burn is compiled, always the whole workspace: with `--package`, cargo would give
-/// the crates below it other features, and compile it again.
-const STEPS: [Step; 8] = [
-    ("fmt", &["fmt", "--all", "--check"], NOTHING),
-    (
-        "clippy",
-        &[
-            "clippy",
-            "--workspace",
-            "--all-targets",
-            "--",
-            "-D",
-            "warnings",
-        ],
-        NOTHING,
-    ),
-    (
-        "doc",
-        &["doc", "--workspace", "--no-deps"],
-        ("RUSTDOCFLAGS", "-D warnings"),
-    ),
-    (
-        "bare",
-        &["test", "--package", "splat-core", "--no-default-features"],
-        NOTHING,
-    ),
-    ("test", &["test", "--workspace"], NOTHING),
-    (
-        "ndarray",
-        &["test", "--workspace", "--features", ALL_BACKENDS],
-        (BACKENDS, "ndarray"),
-    ),
-    (
-        "clippy-gpu",
-        &[
-            "clippy",
-            "--workspace",
-            "--all-targets",
-            "--features",
-            ALL_BACKENDS,
-            "--",
-            "-D",
-            "warnings",
-        ],
-        NOTHING,
-    ),
-    (
-        "test-gpu",
-        &["test", "--workspace", "--features", ALL_BACKENDS],
-        (BACKENDS, "wgpu"),
-    ),
-];
-
-/// No variable of the environment.
-const NOTHING: (&str, &str) = ("", "");
-
-/// What a test prints, alone on a line, where it cannot run.
-const SKIPPED: &str = "skipped: ";
 
 fn main() -> ExitCode {
     let mut args = env::args_os().skip(1);
@@ -216,128 +144,6 @@ fn in_folder(what: &str, package: &str) -> Command {
     command
 }
 
-/// Runs steps one after the other, and says at the end what tests could not run.
-fn ci(steps: &[Step]) -> ExitCode {
-    let mut skipped = Vec::new();
-    for (name, args, (variable, value)) in steps {
-        let mut command = cargo_in_root(args);
-        if !variable.is_empty() {
-            command.env(variable, value);
-        }
-        if *variable == BACKENDS {
-            for test in backend_tests(value) {
-                command.args(["--test", &test]);
-            }
-        }
-        if *name == "test-gpu" {
-            offer_software_gpu(&mut command);
-        }
-        let started = Instant::now();
-        eprintln!("ci: {name}: cargo {}", args.join(" "));
-        match watch(command, &mut skipped) {
-            Ok(()) => eprintln!("ci: {name} passed in {} s", started.elapsed().as_secs()),
-            Err(code) => {
-                eprintln!("ci: {name} failed");
-                return code;
-            }
-        }
-    }
-    eprintln!("ci: {} checks skipped on this machine", skipped.len());
-    for line in skipped {
-        eprintln!("ci: {line}");
-    }
-    ExitCode::SUCCESS
-}
-
-/// The test targets of the workspace whose source asks for the list of backends, or names this one where the program has it.
-fn backend_tests(backend: &str) -> Vec<String> {
-    let mut asks: Vec<String> = vec!["devices(".into(), "devices_in(".into(), "computes(".into()];
-    if ALL_BACKENDS.contains(&format!("limpid/{backend}")) {
-        asks.push(format!("\"{backend}\""));
-    }
-    let mut packages = vec![
-        root().join("tests"),
-        root().join("bench"),
-        root().join("lab"),
-    ];
-    packages.extend(entries(&root().join("crates")));
-    let mut tests: Vec<String> = packages
-        .iter()
-        .flat_map(|package| entries(&package.join("tests")))
-        .filter(|path| {
-            let asking = |file: &PathBuf| {
-                let source = fs::read_to_string(file).unwrap_or_default();
-                asks.iter().any(|ask| source.contains(ask))
-            };
-            target_files(path).iter().any(asking)
-        })
-        .filter_map(|path| Some(path.file_stem()?.to_str()?.to_owned()))
-        .collect();
-    tests.sort();
-    tests
-}
-
-/// The files of a test target, which is a file, or a folder with a `main.rs`; none of what is no target.
-fn target_files(path: &Path) -> Vec<PathBuf> {
-    let is_rust = |path: &PathBuf| path.extension() == Some(OsStr::new("rs"));
-    let files = if path.join("main.rs").exists() {
-        entries(path)
-    } else {
-        vec![path.to_owned()]
-    };
-    files.into_iter().filter(is_rust).collect()
-}
-
-/// What stands in a folder; nothing where there is none.
-fn entries(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    entries.map(|entry| entry.path()).collect()
-}
-
-/// Where Debian's chromium keeps SwiftShader, a GPU that the CPU plays, with a Vulkan loader beside it.
-const SWIFTSHADER: &str = "/usr/lib/chromium";
-
-/// Lets Vulkan find SwiftShader where it is installed, behind the drivers of real GPUs, unless the user names drivers.
-fn offer_software_gpu(command: &mut Command) {
-    let driver = Path::new(SWIFTSHADER).join("vk_swiftshader_icd.json");
-    let named = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_ADD_DRIVER_FILES"];
-    if named.iter().any(|name| env::var_os(name).is_some()) || !driver.exists() {
-        return;
-    }
-    command.env("VK_ADD_DRIVER_FILES", driver);
-    let mut folders: Vec<PathBuf> = env::var_os("LD_LIBRARY_PATH")
-        .map(|folders| env::split_paths(&folders).collect())
-        .unwrap_or_default();
-    folders.push(SWIFTSHADER.into());
-    if let Ok(folders) = env::join_paths(folders) {
-        command.env("LD_LIBRARY_PATH", folders);
-    }
-}
-
-/// Runs a step, shows its standard error, and keeps the lines of it that say what was skipped.
-fn watch(mut command: Command, skipped: &mut Vec<String>) -> Result<(), ExitCode> {
-    let started = command.stderr(Stdio::piped()).spawn();
-    let mut child = started.map_err(|error| could_not_start(&command, &error))?;
-    for line in child
-        .stderr
-        .take()
-        .into_iter()
-        .flat_map(|e| BufReader::new(e).split(b'\n'))
-    {
-        let Ok(line) = line else { break };
-        let line = String::from_utf8_lossy(&line).into_owned();
-        eprintln!("{line}");
-        if line.starts_with(SKIPPED) {
-            skipped.push(line);
-        }
-    }
-    match child.wait() {
-        Ok(status) if status.success() => Ok(()),
-        Ok(status) => Err(exit_code(status.code())),
-        Err(error) => Err(could_not_start(&command, &error)),
-    }
-}
-
 /// Times the kernels, unless `args` ask for something else than the whole run, and then iterations.
 fn bench(args: &[OsString]) -> ExitCode {
     if args.is_empty()
@@ -373,63 +179,6 @@ fn backend_feature(args: &[OsString]) -> Option<&'static str> {
         "cuda" => Some("cuda"),
         _ => None,
     }
-}
-
-/// The checkout that cargo was called in. (Where two of them share a target folder, this program may have been built in the
-/// other.)
-fn root() -> PathBuf {
-    let here =
-        env::var_os("CARGO_MANIFEST_DIR").unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
-    let root = Path::new(&here).parent();
-    root.expect("xtask lies in the workspace's root").to_owned()
-}
-
-/// The cargo that started this program.
-fn cargo() -> Command {
-    Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-}
-
-fn cargo_in_root(args: &[&str]) -> Command {
-    let mut command = cargo();
-    command.args(args).current_dir(root());
-    command
-}
-
-/// Runs a step of several; the exit code of a failed one comes back as an error.
-fn wait(mut command: Command) -> Result<(), ExitCode> {
-    match command.status() {
-        Ok(status) if status.success() => Ok(()),
-        Ok(status) => Err(exit_code(status.code())),
-        Err(error) => Err(could_not_start(&command, &error)),
-    }
-}
-
-/// Runs the last command there is by becoming it, as `cargo run` itself does: a Ctrl-C then reaches
-/// the program alone, which ends when its checkpoint is written, and not before.
-#[cfg(unix)]
-fn become_command(mut command: Command) -> ExitCode {
-    use std::os::unix::process::CommandExt as _;
-    let error = command.exec();
-    could_not_start(&command, &error)
-}
-
-/// Without `exec`, waits for the child; cargo shields itself from Ctrl-C and waits on its own.
-#[cfg(not(unix))]
-fn become_command(command: Command) -> ExitCode {
-    wait(command).map_or_else(|code| code, |()| ExitCode::SUCCESS)
-}
-
-fn exit_code(code: Option<i32>) -> ExitCode {
-    // A child that a signal ended has no code.
-    ExitCode::from(code.and_then(|code| u8::try_from(code).ok()).unwrap_or(1))
-}
-
-fn could_not_start(command: &Command, error: &std::io::Error) -> ExitCode {
-    eprintln!(
-        "xtask: cannot start {}: {error}",
-        command.get_program().display()
-    );
-    ExitCode::FAILURE
 }
 
 #[cfg(test)]
@@ -507,24 +256,6 @@ mod tests {
         }
         let command = in_folder("build", "limpid");
         assert_eq!(command.get_current_dir(), None, "where the user is");
-    }
-
-    #[test]
-    fn tests_that_ask_for_a_backend_are_found() {
-        let tests = backend_tests("wgpu");
-        for (name, asks) in [
-            ("training_devices", true),
-            ("gpu", true),
-            ("program", true),
-            ("kills", false),
-            ("golden", false),
-        ] {
-            assert_eq!(
-                tests.iter().any(|test| test == name),
-                asks,
-                "{name} of {tests:?}"
-            );
-        }
     }
 
     #[test]
