@@ -5,20 +5,37 @@ use crate::views::CameraView;
 use burn::tensor::{DType, Device, Tensor};
 use glam::DVec3;
 use splat_core::camera_center;
+use std::f64::consts::PI;
+
+/// Frames to a half wave of the quickest drift.
+const FRAMES: usize = 8;
 
 /// Where the cameras of N frames stand, right and down in their own axes, away from their mean; scene units.
 #[derive(Clone, Debug)]
 pub(crate) struct SceneShift {
     places: Vec<[f64; 2]>,
+    /// Slow waves over the frames, each of one number a frame.
+    waves: Vec<Vec<f64>>,
 }
 
 /// What numbers of the frames that count show if the scene lies elsewhere: a sum of a few known columns.
 #[derive(Clone, Debug)]
 pub(crate) struct Shared {
-    /// Of shifts of N frames, one below the other: [2 N, 3].
+    /// Of shifts of N frames, one below the other: [2 N, 3 + 2 W], with W waves.
     shifts: Columns,
-    /// Of any number of N frames: [N, 3].
+    /// Of any number of N frames: [N, 3 + W].
     trends: Columns,
+}
+
+/// What changes slowly over so many frames: the cosines of up to a half wave for every eight of them. None of fewer frames, of
+/// which nothing says what is slow.
+pub(crate) fn slow_waves(frames: usize) -> Vec<Vec<f64>> {
+    let half_wave = PI / frames as f64;
+    let wave = |k: usize| {
+        let angles = (0..frames).map(|i| half_wave * k as f64 * (i as f64 + 0.5));
+        angles.map(f64::cos).collect()
+    };
+    (1..=frames / FRAMES).map(wave).collect()
 }
 
 impl SceneShift {
@@ -35,6 +52,16 @@ impl SceneShift {
         });
         Self {
             places: places.collect(),
+            waves: Vec::new(),
+        }
+    }
+
+    /// The same of a scene that may drift as well: slowly along the video, so that what each frame shows of it shifts by a sum of slow
+    /// waves.
+    pub(crate) fn drifting(self) -> Self {
+        Self {
+            waves: slow_waves(self.places.len()),
+            ..self
         }
     }
 
@@ -61,30 +88,43 @@ impl SceneShift {
         let interleaved = |x: &[f64], y: &[f64]| -> Vec<f64> {
             x.iter().zip(y).flat_map(|(x, y)| [*x, *y]).collect()
         };
-        let shifts = [
+        let mut shifts = vec![
             interleaved(&ones, &none),
             interleaved(&none, &ones),
             interleaved(&right, &down),
         ];
+        let mut trends = vec![ones.clone(), right, down];
+        for wave in &self.waves {
+            let wave: Vec<f64> = wave.iter().zip(&ones).map(|(w, one)| w * one).collect();
+            shifts.push(interleaved(&wave, &none));
+            shifts.push(interleaved(&none, &wave));
+            trends.push(wave);
+        }
         let both: Vec<bool> = tell.iter().flat_map(|tells| [*tells; 2]).collect();
         Shared {
-            shifts: Columns::told_by(&both, shifts.to_vec(), options),
-            trends: Columns::spanning(vec![ones, right, down], options),
+            shifts: Columns::told_by(&both, shifts, options),
+            trends: Columns::spanning(trends, options),
         }
     }
 }
 
 impl Shared {
     /// What of the frames' shifts [N, 2] is the scene's, by least squares: all shift alike, and each by how far its camera stands
-    /// aside, as they do if every point is nearer by the same disparity.
+    /// aside, as they do if every point is nearer by the same disparity; and slow waves, where it may drift.
     pub(crate) fn of_shifts(&self, shifts: Tensor<2>) -> Tensor<2> {
         let shape = shifts.dims();
         let all = shifts.reshape([shape[0] * shape[1], 1]);
         self.shifts.part_of(all).reshape(shape)
     }
 
+    /// What of the frames' shifts [N, 2] is not the scene's.
+    pub(crate) fn own_shifts(&self, shifts: Tensor<2>) -> Tensor<2> {
+        shifts.clone() - self.of_shifts(shifts)
+    }
+
     /// What of any numbers of the frames [N, C] is the same in all, or in proportion to where their cameras stand, right or down, by
-    /// least squares. A scene that tilts, turns or grows with the camera's place looks like that.
+    /// least squares. A scene that tilts, turns or grows with the camera's place looks like that. Where it may drift, slow waves
+    /// are the scene's as well.
     pub(crate) fn of_any(&self, values: Tensor<2>) -> Tensor<2> {
         self.trends.part_of(values)
     }
@@ -224,6 +264,54 @@ mod tests {
                 view.cam_from_world = DAffine3::IDENTITY;
             }
         }
+    }
+
+    /// What is the scene's of numbers that are `of` each of so many frames, all seen from one place: where it may drift, and where not.
+    fn of_one_place(frames: usize, of: impl Fn(f64) -> f64) -> [Vec<f64>; 2] {
+        let mut view = views().swap_remove(0);
+        view.cam_from_world = DAffine3::IDENTITY;
+        let still = SceneShift::of(&vec![view; frames]);
+        let numbers = tensor((0..frames).map(|i| of(i as f64)).collect(), 1);
+        let both: Vec<f64> = values(numbers.clone())
+            .iter()
+            .flat_map(|v| [*v, -2.0 * v])
+            .collect();
+        [still.clone().drifting(), still].map(|shift| {
+            let (device, all) = (Device::flex(), vec![true; frames]);
+            let options = options_of(&device);
+            let shared = shift.among(&all, &all, options);
+            let any = values(shared.of_any(numbers.clone()));
+            let shifts = values(shared.of_shifts(tensor(both.clone(), 2)));
+            for (any, shifts) in any.iter().zip(shifts.chunks(2)) {
+                let off = (shifts[0] - any).abs() + (shifts[1] + 2.0 * any).abs();
+                assert!(off < 1e-12, "shifts are told as anything is: {off}");
+            }
+            any
+        })
+    }
+
+    #[test]
+    fn a_slow_swing_may_be_a_drift_and_a_hand_that_turns_round_is_none() {
+        let frames = 24;
+        for waves in [1, 2, 3, 4, 11, 23] {
+            let swing = |i: f64| (PI * f64::from(waves) * (i + 0.5) / frames as f64).cos();
+            let [drifting, still] = of_one_place(frames, swing);
+            for (i, (drifting, still)) in drifting.iter().zip(still).enumerate() {
+                let expected = if waves > 3 { 0.0 } else { swing(i as f64) };
+                assert!(
+                    (drifting - expected).abs() < 1e-12,
+                    "{waves}: {drifting} {expected}"
+                );
+                assert!(still.abs() < 1e-12, "{waves}: {still}");
+            }
+        }
+    }
+
+    /// Of so few frames nothing says which of their numbers are slow.
+    #[test]
+    fn a_handful_of_frames_does_not_drift() {
+        let [drifting, _] = of_one_place(7, |i| i - 3.0);
+        assert!(drifting.iter().all(|v| v.abs() < 1e-12), "{drifting:?}");
     }
 
     #[test]

@@ -2,7 +2,6 @@
 //! lens, each a render of the sharp scene.
 
 mod account;
-mod drift;
 mod errors;
 mod foretold;
 mod grown;
@@ -107,7 +106,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
-            scene_shift: SceneShift::of(&views.train),
+            scene_shift: SceneShift::of(&views.train).drifting(),
             accelerations: Accelerations::of(&views.train, survey.scene_size),
             shared: None,
             explained: vec![true; focal.len()],
