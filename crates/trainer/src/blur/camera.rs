@@ -49,9 +49,9 @@ pub struct CameraBlur {
     capture: Capture,
     scene_shift: SceneShift,
     accelerations: Accelerations,
-    /// What the paths that are there have in common, and what is foretold of them; made where it is needed, and anew behind a trial,
-    /// which may put paths in and out.
-    shared: Option<(Shared, Foretold)>,
+    /// What the paths that are there have in common, in a scene that stays and in one that may drift, and what is foretold of them;
+    /// made where it is needed, and anew behind a trial, which may put paths in and out.
+    shared: Option<([Shared; 2], Foretold)>,
     /// Frames that were not explained far worse than others at the last trial: the paths of those that were do not tell what is the
     /// scene's.
     explained: Vec<bool>,
@@ -106,7 +106,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
-            scene_shift: SceneShift::of(&views.train).drifting(),
+            scene_shift: SceneShift::of(&views.train),
             accelerations: Accelerations::of(&views.train, survey.scene_size),
             shared: None,
             explained: vec![true; focal.len()],
@@ -300,7 +300,8 @@ impl CameraBlur {
 
     /// Takes out of the paths' means what all frames have in common, which is the scene's: of the shifts in the image what a scene
     /// that lies elsewhere shows, and of the turns about the optical axis and of the translations all that goes with the camera's
-    /// place. (A path that a trial left out stays out.)
+    /// place. Where the poses do not foretell what the frames have of their own, slow waves of all these are a drift of the scene, too.
+    /// (A path that a trial left out stays out.)
     pub(super) fn hold(&mut self, it: usize) {
         if self.settings.path == When::Never || self.settings.path_degree < 2 || !self.is_on(it) {
             return;
@@ -310,7 +311,7 @@ impl CameraBlur {
             ..self.capture.clone()
         };
         let options = (&held.paths.device(), held.paths.dtype());
-        let (shared, foretold) = self.shared.get_or_insert_with(|| {
+        let ([steady, drifting], foretold) = self.shared.get_or_insert_with(|| {
             let paths = host(held.paths.clone());
             let width = held.paths.dims()[1];
             let moving = paths
@@ -323,15 +324,26 @@ impl CameraBlur {
                 .map(|(moves, explained)| *moves && *explained)
                 .collect();
             let told = self.accelerations.known(&well);
-            let shared = self.scene_shift.among(&moving, &told, options);
-            let foretold = self.accelerations.foretold(&told, &shared, options);
+            let drifting = self.scene_shift.clone().drifting();
+            let shared = [&self.scene_shift, &drifting];
+            let shared = shared.map(|shift| shift.among(&moving, &told, options));
+            let foretold = self.accelerations.foretold(&told, &shared[1], options);
             (shared, foretold)
         });
+        let belief = foretold.belief(held.mean_shifts());
+        // Where the poses are believed, slow waves are the hand's.
+        let drifts = belief.clone().floor().neg() + 1.0;
+        let scenes = |steady: Tensor<2>, drifting: Tensor<2>| {
+            steady.clone() + (drifting - steady) * drifts.clone()
+        };
         // Turns about x and y shift the image: those are held with the shifts, below.
         let others = Tensor::<2>::from_data([[0.0, 0.0, 1.0, 1.0, 1.0, 1.0]], options);
-        held.bend(-shared.of_any(held.mean_motions()) * others);
-        let missed = foretold.missed(held.mean_shifts());
-        held.bend(-turns(shared.of_shifts(missed)));
+        let motions = held.mean_motions();
+        let common = scenes(steady.of_any(motions.clone()), drifting.of_any(motions));
+        held.bend(-common * others);
+        let missed = foretold.missed(held.mean_shifts(), belief);
+        let common = scenes(steady.of_shifts(missed.clone()), drifting.of_shifts(missed));
+        held.bend(-turns(common));
         self.capture.paths = leaf(held.paths, true);
     }
 

@@ -9,9 +9,9 @@ use glam::{DAffine3, DQuat};
 
 /// Shifts whose squares come to less have nothing to say.
 const LEAST_SQUARE: f64 = 1e-20;
-/// What is foretold counts whole where it explains so much or more of what the scene cannot show of the means, and in proportion to
-/// that below. (RESULTS.md, "Held to what the poses foretell", has what was seen.)
-const TOLD_BY: f64 = 0.5;
+/// What is foretold is believed whole where it explains so much or more of what the scene cannot show of the means, and in
+/// proportion to that below. (RESULTS.md, "Held to what the poses foretell", has what was seen.)
+const EXPLAINS: f64 = 0.5;
 
 /// The frames' accelerations, by the poses before and after: turns (rad) and translations (scene sizes) per frame².
 #[derive(Clone, Debug)]
@@ -89,18 +89,31 @@ impl Accelerations {
 }
 
 impl Foretold {
-    /// By how far means [N, 2] are not as foretold: with the factor, not negative, that fits best what of them the scene cannot
-    /// show, times how far it is to be believed. A hand that the poses say nothing of is foretold to rest.
-    pub(super) fn missed(&self, means: Tensor<2>) -> Tensor<2> {
-        let own = self.shared.own_shifts(means.clone()) * self.told.clone();
-        let square = |of: &Tensor<2>| of.clone().square().sum().clamp_min(LEAST_SQUARE);
-        let product = (own.clone() * self.own.clone()).sum();
-        let factor = product.clone() / square(&self.own);
-        let share = product * factor.clone() / square(&own);
-        let factor = factor.clamp_min(0.0) * (share / TOLD_BY).clamp_max(1.0);
-        let factor = factor.reshape([1, 1]);
-        means - self.shifts.clone() * factor
+    /// How far it is to be believed of means [N, 2]; [1, 1], from 0, where it explains nothing of what of them the scene cannot show,
+    /// to 1.
+    pub(super) fn belief(&self, means: Tensor<2>) -> Tensor<2> {
+        let own = self.own_of(means);
+        let product = (own.clone() * self.own.clone()).sum().clamp_min(0.0);
+        let explained = product.square() / (square(&self.own) * square(&own));
+        let belief = explained / EXPLAINS;
+        belief.clamp_max(1.0).reshape([1, 1])
     }
+
+    /// By how far means [N, 2] are not as foretold: with the factor, not negative, that fits best what of them the scene cannot
+    /// show, times how far it is believed. A hand that the poses say nothing of is foretold to rest.
+    pub(super) fn missed(&self, means: Tensor<2>, belief: Tensor<2>) -> Tensor<2> {
+        let product = (self.own_of(means.clone()) * self.own.clone()).sum();
+        let factor = product.clamp_min(0.0) / square(&self.own);
+        means - self.shifts.clone() * (factor.reshape([1, 1]) * belief)
+    }
+
+    fn own_of(&self, means: Tensor<2>) -> Tensor<2> {
+        self.shared.own_shifts(means) * self.told.clone()
+    }
+}
+
+fn square(of: &Tensor<2>) -> Tensor<1> {
+    of.clone().square().sum().clamp_min(LEAST_SQUARE)
 }
 
 /// A small rigid motion as a turn (rad) and a translation in units of `size`.
@@ -193,6 +206,10 @@ mod tests {
         Tensor::from_data(TensorData::new(any, [9, 2]), options_of(device))
     }
 
+    fn missed(foretold: &Foretold, means: Tensor<2>) -> Tensor<2> {
+        foretold.missed(means.clone(), foretold.belief(means))
+    }
+
     #[test]
     fn the_scene_cannot_take_what_the_poses_foretell_of_paths() {
         let device = Device::flex();
@@ -205,7 +222,7 @@ mod tests {
             (ends[1], ends[16]) = (0.02, -0.03);
             let ends = Tensor::<2>::from_data(TensorData::new(ends, [9, 2]), options_of(&device));
             let means = moved.clone() + ends.clone();
-            let held = means.clone() - shared.of_shifts(foretold.missed(means.clone()));
+            let held = means.clone() - shared.of_shifts(missed(&foretold, means.clone()));
             let off = |means: Tensor<2>| -> f64 {
                 let off = values(means - truth.clone() - ends.clone());
                 off.into_iter().fold(0.0, |most, v| most.max(v.abs()))
@@ -233,7 +250,7 @@ mod tests {
             let own_means = factor * norm(&foretold.own);
             let means = foretold.shifts.clone() * factor + other.clone() * (times * own_means);
             let expected = means.clone() - foretold.shifts.clone() * (factor * believed);
-            let off = values(foretold.missed(means) - expected);
+            let off = values(missed(&foretold, means) - expected);
             assert!(off.iter().all(|v| v.abs() < 1e-15), "{times}: {off:?}");
         }
     }
@@ -244,7 +261,7 @@ mod tests {
         let all = values(any(&device));
         let still = views(|_| (DVec3::ZERO, DVec3::ZERO));
         assert_eq!(
-            values(foretold(&still, &device).0.missed(any(&device))),
+            values(missed(&foretold(&still, &device).0, any(&device))),
             all
         );
         assert_eq!(
@@ -254,6 +271,6 @@ mod tests {
         // Nor where they go against it.
         let foretold = foretold(&views(shaking), &device).0;
         let against = foretold.shifts.clone() * -0.1;
-        assert_eq!(values(foretold.missed(against.clone())), values(against));
+        assert_eq!(values(missed(&foretold, against.clone())), values(against));
     }
 }
