@@ -403,11 +403,16 @@ impl CameraBlur {
 mod tests {
     use super::*;
 
+    /// Where the camera of a frame stands.
+    fn place(t: f64) -> glam::DVec3 {
+        glam::DVec3::new(0.2 * t, 0.1 * (1.7 * t).sin(), 0.3 * (0.9 * t).cos())
+    }
+
     /// The paths of some frames, [N, 12], once they are held; those of `unexplained` do not tell.
     fn held(paths: Vec<f64>, unexplained: Option<usize>) -> Vec<f64> {
         let frame = |k: usize| {
             let t = k as f64;
-            let center = glam::DVec3::new(0.2 * t, 0.1 * (1.7 * t).sin(), 0.3 * (0.9 * t).cos());
+            let center = place(t);
             io::Frame {
                 view: io::View {
                     name: k.to_string(),
@@ -464,5 +469,46 @@ mod tests {
         };
         assert!(off(Some(4)) < 1e-12, "{}", off(Some(4)));
         assert!(off(None) > 1e-2, "{}", off(None));
+    }
+
+    #[test]
+    fn slow_waves_are_the_hands_where_the_poses_foretell_paths_and_the_scenes_elsewhere() {
+        let bends = |of: &dyn Fn(f64) -> [f64; RIGID]| -> Vec<f64> {
+            let frames = (0..9).map(f64::from);
+            frames
+                .flat_map(|t| [[0.0; RIGID], of(t)])
+                .flatten()
+                .collect()
+        };
+        // As the camera is accelerated, in its own axes.
+        let foretold = bends(&|t| {
+            let second = 2.0 * place(t) - place(t - 1.0) - place(t + 1.0);
+            [0.0, 0.0, 0.0, second.x, second.y, second.z].map(|v| 0.1 * v)
+        });
+        let other = bends(&|t| {
+            [
+                0.01 * (2.9 * t).sin(),
+                0.01 * (2.3 * t).cos(),
+                0.0,
+                0.0,
+                0.0,
+                0.0,
+            ]
+        });
+        // Down in the picture and up again, which is no matter of where the camera stands.
+        let wave = bends(&|t| {
+            let swing = (std::f64::consts::PI * (t + 0.5) / 9.0).cos();
+            [0.02 * swing, 0.0, 0.0, 0.0, 0.0, 0.0]
+        });
+        let left = |paths: &[f64]| -> f64 {
+            let waving = paths.iter().zip(&wave).map(|(p, w)| p + w).collect();
+            let pairs = held(waving, None)
+                .into_iter()
+                .zip(held(paths.to_vec(), None));
+            let most = pairs.fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+            most / 0.02
+        };
+        assert!(left(&foretold) > 0.5, "{}", left(&foretold));
+        assert!(left(&other) < 1e-12, "{}", left(&other));
     }
 }
