@@ -4,6 +4,7 @@
 mod account;
 mod errors;
 mod foretold;
+mod gauge;
 mod grown;
 mod layers;
 mod lens;
@@ -19,15 +20,14 @@ pub use taken::{CameraFigures, CameraFrame, Spot, TakenView};
 use crate::TrainError;
 use crate::look::{Look, Shown, render_posed};
 use crate::parameter::{Group, Parameter};
-use crate::scene_shift::{SceneShift, Shared};
 use crate::settings::{CameraSettings, DiscKind, Settings, When};
 use crate::survey::Survey;
 use crate::tensors::{constant, host, leaf};
 use crate::views::{Views, pose_tensor, poses_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for, turns};
-use foretold::{Accelerations, Foretold};
+use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for};
+use gauge::Gauge;
 use glam::DAffine3;
 use grown::grown;
 use layers::layered;
@@ -47,14 +47,7 @@ const TABLE: &str = "camera.explained";
 #[derive(Clone, Debug)]
 pub struct CameraBlur {
     capture: Capture,
-    scene_shift: SceneShift,
-    accelerations: Accelerations,
-    /// What the paths that are there have in common, in a scene that stays and in one that may drift, and what is foretold of them;
-    /// made where it is needed, and anew behind a trial, which may put paths in and out.
-    shared: Option<([Shared; 2], Foretold)>,
-    /// Frames that were not explained far worse than others at the last trial: the paths of those that were do not tell what is the
-    /// scene's.
-    explained: Vec<bool>,
+    gauge: Gauge,
     settings: CameraSettings,
     moments: Moments,
     /// Focal length of each frame, px.
@@ -106,10 +99,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
-            scene_shift: SceneShift::of(&views.train),
-            accelerations: Accelerations::of(&views.train, survey.scene_size),
-            shared: None,
-            explained: vec![true; focal.len()],
+            gauge: Gauge::of(&views.train, survey.scene_size),
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
             focal,
@@ -298,10 +288,7 @@ impl CameraBlur {
         poses_of(poses)
     }
 
-    /// Takes out of the paths' means what all frames have in common, which is the scene's: of the shifts in the image what a scene
-    /// that lies elsewhere shows, and of the turns about the optical axis and of the translations all that goes with the camera's
-    /// place. Where the poses do not foretell what the frames have of their own, slow waves of all these are a drift of the scene, too.
-    /// (A path that a trial left out stays out.)
+    /// Fixes the gauge of the paths once `it` iterations are done: what all frames have in common is the scene's.
     pub(super) fn hold(&mut self, it: usize) {
         if self.settings.path == When::Never || self.settings.path_degree < 2 || !self.is_on(it) {
             return;
@@ -310,46 +297,13 @@ impl CameraBlur {
             paths: self.capture.paths.clone().inner(),
             ..self.capture.clone()
         };
-        let options = (&held.paths.device(), held.paths.dtype());
-        let ([steady, drifting], foretold) = self.shared.get_or_insert_with(|| {
-            let paths = host(held.paths.clone());
-            let width = held.paths.dims()[1];
-            let moving = paths
-                .chunks_exact(width)
-                .map(|path| path.iter().any(|p| *p != 0.0));
-            let moving: Vec<bool> = moving.collect();
-            let well: Vec<bool> = moving
-                .iter()
-                .zip(&self.explained)
-                .map(|(moves, explained)| *moves && *explained)
-                .collect();
-            let told = self.accelerations.known(&well);
-            let drifting = self.scene_shift.clone().drifting();
-            let shared = [&self.scene_shift, &drifting];
-            let shared = shared.map(|shift| shift.among(&moving, &told, options));
-            let foretold = self.accelerations.foretold(&told, &shared[1], options);
-            (shared, foretold)
-        });
-        let belief = foretold.belief(held.mean_shifts());
-        // Where the poses are believed, slow waves are the hand's.
-        let drifts = belief.clone().floor().neg() + 1.0;
-        let scenes = |steady: Tensor<2>, drifting: Tensor<2>| {
-            steady.clone() + (drifting - steady) * drifts.clone()
-        };
-        // Turns about x and y shift the image: those are held with the shifts, below.
-        let others = Tensor::<2>::from_data([[0.0, 0.0, 1.0, 1.0, 1.0, 1.0]], options);
-        let motions = held.mean_motions();
-        let common = scenes(steady.of_any(motions.clone()), drifting.of_any(motions));
-        held.bend(-common * others);
-        let missed = foretold.missed(held.mean_shifts(), belief);
-        let common = scenes(steady.of_shifts(missed.clone()), drifting.of_shifts(missed));
-        held.bend(-turns(common));
+        self.gauge.fix(&mut held);
         self.capture.paths = leaf(held.paths, true);
     }
 
     /// What a checkpoint keeps of it beside its parameters.
     pub(super) fn table(&self, device: &Device) -> (&'static str, Tensor<2>) {
-        let rows: Vec<f32> = self.explained.iter().map(|e| f32::from(*e)).collect();
+        let rows: Vec<f32> = self.gauge.explained.iter().map(|e| f32::from(*e)).collect();
         let shape = [rows.len(), 1];
         (
             TABLE,
@@ -362,8 +316,8 @@ impl CameraBlur {
         &mut self,
         read: &mut impl FnMut(&str, [usize; 2]) -> Result<Tensor<2>, E>,
     ) -> Result<(), E> {
-        let rows = host(read(TABLE, [self.explained.len(), 1])?);
-        self.explained = rows.iter().map(|row| *row != 0.0).collect();
+        let rows = host(read(TABLE, [self.gauge.explained.len(), 1])?);
+        self.gauge.explained = rows.iter().map(|row| *row != 0.0).collect();
         Ok(())
     }
 
@@ -396,119 +350,5 @@ impl CameraBlur {
             ));
         }
         all
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Where the camera of a frame stands.
-    fn place(t: f64) -> glam::DVec3 {
-        glam::DVec3::new(0.2 * t, 0.1 * (1.7 * t).sin(), 0.3 * (0.9 * t).cos())
-    }
-
-    /// The paths of some frames, [N, 12], once they are held; those of `unexplained` do not tell.
-    fn held(paths: Vec<f64>, unexplained: Option<usize>) -> Vec<f64> {
-        let frame = |k: usize| {
-            let t = k as f64;
-            let center = place(t);
-            io::Frame {
-                view: io::View {
-                    name: k.to_string(),
-                    camera: splat_core::Camera::pinhole([8, 6], [7.0; 2], [4.0, 3.0]),
-                    cam_from_world: DAffine3::from_translation(-center),
-                    time: k as f32,
-                    image: io::Image {
-                        width: 8,
-                        height: 6,
-                        pixels: vec![0.5; 8 * 6 * 3],
-                    },
-                },
-                depth: Some(io::Map {
-                    width: 8,
-                    height: 6,
-                    values: vec![5.0; 8 * 6],
-                }),
-                mask: None,
-            }
-        };
-        let mut scene = io::Scene::of_frames((0..9).map(frame).collect());
-        let settings = Settings::default();
-        let survey = crate::survey::survey(&mut scene, settings.motion.when).expect("a survey");
-        let views = Views::of(&scene, 0.01);
-        let options = (&Device::flex().autodiff(), DType::F64);
-        let mut camera = CameraBlur::new(&settings, &survey, &views, options);
-        let paths = TensorData::new(paths, [9, 2 * RIGID]);
-        camera.capture.paths = Tensor::from_data(paths, options);
-        if let Some(frame) = unexplained {
-            camera.explained[frame] = false;
-        }
-        camera.hold(camera.moments.from + 1);
-        let held = camera.capture.paths.inner();
-        held.try_into_vec_as::<f64>().expect("f64")
-    }
-
-    #[test]
-    fn a_frame_that_was_not_explained_moves_no_other() {
-        let tame: Vec<f64> = (0..9 * 2 * RIGID)
-            .map(|k| 0.01 * (1.3 * k as f64 + 0.2).sin())
-            .collect();
-        let mut wild = tame.clone();
-        let bend = 4 * 2 * RIGID + RIGID;
-        (wild[bend], wild[bend + 1]) = (0.7, -0.9);
-        let others = |paths: Vec<f64>| -> Vec<f64> {
-            let rows = paths.chunks_exact(2 * RIGID).enumerate();
-            let others = rows.filter(|(frame, _)| *frame != 4);
-            others.flat_map(|(_, row)| row.to_vec()).collect()
-        };
-        let off = |unexplained| {
-            let [one, other] = [&tame, &wild].map(|p| others(held(p.clone(), unexplained)));
-            let pairs = one.iter().zip(&other);
-            pairs.fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()))
-        };
-        assert!(off(Some(4)) < 1e-12, "{}", off(Some(4)));
-        assert!(off(None) > 1e-2, "{}", off(None));
-    }
-
-    #[test]
-    fn slow_waves_are_the_hands_where_the_poses_foretell_paths_and_the_scenes_elsewhere() {
-        let bends = |of: &dyn Fn(f64) -> [f64; RIGID]| -> Vec<f64> {
-            let frames = (0..9).map(f64::from);
-            frames
-                .flat_map(|t| [[0.0; RIGID], of(t)])
-                .flatten()
-                .collect()
-        };
-        // As the camera is accelerated, in its own axes.
-        let foretold = bends(&|t| {
-            let second = 2.0 * place(t) - place(t - 1.0) - place(t + 1.0);
-            [0.0, 0.0, 0.0, second.x, second.y, second.z].map(|v| 0.1 * v)
-        });
-        let other = bends(&|t| {
-            [
-                0.01 * (2.9 * t).sin(),
-                0.01 * (2.3 * t).cos(),
-                0.0,
-                0.0,
-                0.0,
-                0.0,
-            ]
-        });
-        // Down in the picture and up again, which is no matter of where the camera stands.
-        let wave = bends(&|t| {
-            let swing = (std::f64::consts::PI * (t + 0.5) / 9.0).cos();
-            [0.02 * swing, 0.0, 0.0, 0.0, 0.0, 0.0]
-        });
-        let left = |paths: &[f64]| -> f64 {
-            let waving = paths.iter().zip(&wave).map(|(p, w)| p + w).collect();
-            let pairs = held(waving, None)
-                .into_iter()
-                .zip(held(paths.to_vec(), None));
-            let most = pairs.fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
-            most / 0.02
-        };
-        assert!(left(&foretold) > 0.5, "{}", left(&foretold));
-        assert!(left(&other) < 1e-12, "{}", left(&other));
     }
 }

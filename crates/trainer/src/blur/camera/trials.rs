@@ -68,8 +68,8 @@ impl CameraBlur {
         {
             *own = leaf(found.clone().inner(), true);
         }
-        self.shared = None;
-        self.explained = tried.explained;
+        self.gauge = tried.gauge;
+        self.gauge.renew();
         Ok(Revised {
             paths,
             focuses: focuses.collect(),
@@ -127,7 +127,7 @@ impl CameraBlur {
         }
         let usual = median(&errors);
         let explained = errors.iter().map(|error| *error <= NOT_EXPLAINED * usual);
-        self.explained = explained.collect();
+        self.gauge.explained = explained.collect();
         Ok(changed)
     }
 
