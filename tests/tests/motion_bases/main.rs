@@ -7,7 +7,9 @@ use glam::{DMat3, DVec3};
 use limpid_tests::{
     GradLimits, check_gradients, computes, devices, devices_in, noise, tensor, values,
 };
-use motion_bases::{MotionBases, gram_schmidt, positions_all_frames};
+use motion_bases::{
+    MotionBases, along_ray, gram_schmidt, means_acceleration, positions_all_frames,
+};
 
 fn assert_close(found: &[f64], expected: &[f64], limit: f64, what: &str) {
     assert_eq!(found.len(), expected.len(), "{what}");

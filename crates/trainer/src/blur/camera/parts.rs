@@ -290,10 +290,10 @@ mod tests {
             ("a quarter", Late, Some(0.233), 0.135, [true, false]),
             ("toycar", Early, Some(0.046), 0.104, [false, true]),
             ("toycar", Later(703), None, 0.014, [false, true]),
-            ("toycar", Late, None, 0.402, [false, true]),
+            ("toycar", Late, None, 0.172, [false, true]),
             ("toycar", Late, Some(0.086), 0.17, [true, true]),
             ("kitchen", Early, None, -0.028, [false, false]),
-            ("kitchen", Late, None, 0.028, [false, true]),
+            ("kitchen", Late, None, 0.032, [false, true]),
             ("sharp-a", Late, None, -0.001, [false, false]),
         ] {
             assert_eq!(stay(lens, paths, asked), stays, "{scene}, {asked:?}");
