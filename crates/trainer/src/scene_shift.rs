@@ -29,7 +29,7 @@ pub(crate) struct Shared {
 
 /// What changes slowly over so many frames: the cosines of up to a half wave for every eight of them. None of fewer frames, of
 /// which nothing says what is slow.
-pub(crate) fn slow_waves(frames: usize) -> Vec<Vec<f64>> {
+fn slow_waves(frames: usize) -> Vec<Vec<f64>> {
     let half_wave = PI / frames as f64;
     let wave = |k: usize| {
         let angles = (0..frames).map(|i| half_wave * k as f64 * (i as f64 + 0.5));

@@ -10,7 +10,7 @@ use glam::{DAffine3, DQuat};
 /// Shifts whose squares come to less have nothing to say. The product of two such is a normal number in f32 as well.
 const LEAST_SQUARE: f64 = 1e-18;
 /// What is foretold is believed whole where it explains so much or more of what the scene cannot show of the means, and in
-/// proportion to that below. (RESULTS.md, "Held to what the poses foretell", has what was seen.)
+/// proportion to that below. (RESULTS.md, "Believed by how much they explain", has what was seen.)
 const EXPLAINS: f64 = 0.5;
 
 /// The frames' accelerations, by the poses before and after: turns (rad) and translations (scene sizes) per frame².
@@ -27,9 +27,11 @@ pub(super) struct Foretold {
     shifts: Tensor<2>,
     /// What of them no scene that lies elsewhere shows, of the frames that tell.
     own: Tensor<2>,
+    own_square: Tensor<1>,
     /// 1 at the shifts of frames that tell, 0 at others.
     told: Tensor<2>,
-    shared: Shared,
+    /// What such a scene shows.
+    pub(super) shared: Shared,
 }
 
 impl Accelerations {
@@ -79,8 +81,10 @@ impl Accelerations {
         let shifts = shift_in_image(table(rows.collect(), RIGID));
         let told = told.iter().flat_map(|told| [f64::from(u8::from(*told)); 2]);
         let told = table(told.collect(), 2);
+        let own = shared.own_shifts(shifts.clone()) * told.clone();
         Foretold {
-            own: shared.own_shifts(shifts.clone()) * told.clone(),
+            own_square: square(&own),
+            own,
             shifts,
             told,
             shared: shared.clone(),
@@ -94,7 +98,7 @@ impl Foretold {
     pub(super) fn belief(&self, means: Tensor<2>) -> Tensor<2> {
         let own = self.own_of(means);
         let product = (own.clone() * self.own.clone()).sum().clamp_min(0.0);
-        let explained = product.square() / (square(&self.own) * square(&own));
+        let explained = product.square() / (self.own_square.clone() * square(&own));
         let belief = explained / EXPLAINS;
         belief.clamp_max(1.0).reshape([1, 1])
     }
@@ -103,7 +107,7 @@ impl Foretold {
     /// show, times how far it is believed. A hand that the poses say nothing of is foretold to rest.
     pub(super) fn missed(&self, means: Tensor<2>, belief: Tensor<2>) -> Tensor<2> {
         let product = (self.own_of(means.clone()) * self.own.clone()).sum();
-        let factor = product.clamp_min(0.0) / square(&self.own);
+        let factor = product.clamp_min(0.0) / self.own_square.clone();
         means - self.shifts.clone() * (factor.reshape([1, 1]) * belief)
     }
 

@@ -25,8 +25,7 @@ pub(super) struct Gauge {
 struct Common {
     /// In a scene that stays as it is.
     steady: Shared,
-    /// In one that drifts along the video.
-    drifting: Shared,
+    /// Beyond one that drifts along the video.
     foretold: Foretold,
 }
 
@@ -53,11 +52,8 @@ impl Gauge {
     pub(super) fn fix(&mut self, held: &mut Capture) {
         let common = self.common.take();
         let common = common.unwrap_or_else(|| self.common_of(&held.paths));
-        let Common {
-            steady,
-            drifting,
-            foretold,
-        } = &common;
+        let Common { steady, foretold } = &common;
+        let drifting = &foretold.shared;
         let belief = foretold.belief(held.mean_shifts());
         let drifts = belief.clone().floor().neg() + 1.0;
         let scenes = |steady: Tensor<2>, drifting: Tensor<2>| {
@@ -90,11 +86,7 @@ impl Gauge {
         let steady = among(&self.scene_shift);
         let drifting = among(&self.scene_shift.clone().drifting());
         let foretold = self.accelerations.foretold(&told, &drifting, options);
-        Common {
-            steady,
-            drifting,
-            foretold,
-        }
+        Common { steady, foretold }
     }
 }
 

@@ -16,7 +16,7 @@ use std::fmt;
 /// there. (RESULTS.md, "What a trial sees", has what was seen.)
 const PATHS_PAY: f64 = 0.05;
 /// The same of paths without a lens once Gaussians have sharpened for long. Beside a lens they have to be worth more than it is by
-/// then. (RESULTS.md, "Paths that come late", has what was seen.)
+/// then. (RESULTS.md, "Paths that come late" and "Believed by how much they explain", has what was seen.)
 const PATHS_PAY_LATE: f64 = 0.015;
 /// The same of a lens. Less, since without it frames may be softer, each by itself, so that it is worth only what blurs things at
 /// one depth more than those at another. (RESULTS.md, "A lens that is not there", has what was seen.)
