@@ -1,7 +1,7 @@
 //! What was given wrong of the frames is found: poses that are off, and gains of an automatic exposure.
 
 use burn::tensor::DType;
-use capture::{Capture, shift_in_image};
+use capture::{Capture, shift_in_image, shift_of};
 use glam::{DAffine3, DQuat, DVec3};
 use io::Scene;
 use limpid_tests::tiny::{self, FRAMES, camera, pose};
@@ -142,16 +142,14 @@ fn what_the_scene_can_take_up_is_left_to_it() {
     };
     let mut capture = Capture::still(FRAMES, 2, (&Device::flex().autodiff(), DType::F32));
     capture.paths = table("camera.paths");
-    let of = |shifts| -> Vec<[f64; 2]> {
-        let shifts = limpid_tests::values(shifts);
-        shifts.chunks_exact(2).map(|s| [s[0], s[1]]).collect()
-    };
-    let offsets = of(shift_in_image(table("frames.offsets")));
+    let offsets = limpid_tests::values(shift_in_image(table("frames.offsets")));
+    let offsets: Vec<[f64; 2]> = offsets.chunks_exact(2).map(|s| [s[0], s[1]]).collect();
     assert!(spread(&offsets) > 1e-5, "offsets have learned: {offsets:?}");
     assert_all_own("offsets", &offsets, &aside());
 
     // The paths have what the poses foretell of it, of all but the first and the last frame.
-    let means = of(capture.mean_shifts());
+    let taken = capture.all_taken();
+    let means: Vec<[f64; 2]> = taken.iter().map(|f| shift_of(f.mean_motion())).collect();
     assert!(spread(&means) > 1e-5, "paths have learned: {means:?}");
     let (means, aside) = (&means[1..FRAMES - 1], &aside()[1..FRAMES - 1]);
     let foretold = foretold(trainer.survey().scene_size);

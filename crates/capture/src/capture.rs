@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use host::read;
 
-use crate::motion::{RIGID, moved, shift_in_image};
+use crate::motion::{RIGID, moved};
 use crate::samples::Sample;
 use crate::taken::Taken;
 
@@ -88,87 +88,54 @@ impl Capture {
         moments * self.shutter.clone().reshape([1])
     }
 
-    /// How far what is ahead at the depth S is from its place in the sharp picture on average over a frame's exposure, focal
-    /// lengths (x, y): [N, 2].
-    #[must_use]
-    pub fn mean_shifts(&self) -> Tensor<2> {
-        shift_in_image(self.mean_motions())
-    }
-
-    /// The mean of a frame's motion over its exposure, [N, 6]: a turn (rad) and a translation (scene sizes).
-    #[must_use]
-    pub fn mean_motions(&self) -> Tensor<2> {
-        let degree = self.degree();
-        // The mean of s^k from -1/2 to 1/2.
-        let mean_power = |k: i32| {
-            if k % 2 == 0 {
-                0.5_f64.powi(k) / f64::from(k + 1)
-            } else {
-                0.0
-            }
-        };
-        let powers = (1..=degree).map(|k| mean_power(k as i32));
-        let mean = self.each_of_six(&powers.collect::<Vec<f64>>());
-        self.paths.clone().matmul(mean.transpose())
-    }
-
-    /// Bends the paths, so that [`Self::mean_motions`] grow by `motions`; the middle of the exposure stays where it is.
-    ///
-    /// # Panics
-    /// Paths are straight (of degree 1), or `motions` are not [N, 6].
-    pub fn bend(&mut self, motions: Tensor<2>) {
-        let degree = self.degree();
-        assert!(degree > 1, "a straight path has no mean but its middle");
-        // The mean of s² is 1/12.
-        let powers = (1..=degree).map(|k| if k == 2 { 12.0 } else { 0.0 });
-        let bent = self.each_of_six(&powers.collect::<Vec<f64>>());
-        self.paths = self.paths.clone() + motions.matmul(bent);
-    }
-
-    /// The map [6, 6 D] that takes each of six numbers to its place among the coefficients of each power, times the power's weight.
-    fn each_of_six(&self, weights: &[f64]) -> Tensor<2> {
-        let columns = RIGID * weights.len();
-        let mut map = vec![0.0; RIGID * columns];
-        for number in 0..RIGID {
-            for (power, weight) in weights.iter().enumerate() {
-                map[number * columns + power * RIGID + number] = *weight;
-            }
-        }
-        let options = (&self.paths.device(), self.paths.dtype());
-        Tensor::from_data(TensorData::new(map, [RIGID, columns]), options)
-    }
-
     /// What the camera did in a frame, in main memory: the device is waited for once.
     ///
     /// # Panics
     /// Where there is no such frame.
     #[must_use]
     pub fn taken(&self, frame: usize) -> Taken {
-        let row = |tensor: &Tensor<2>, row| tensor.clone().detach().narrow(0, row, 1);
+        let [found] = self.read(frame, 1).try_into().expect("one frame");
+        found
+    }
+
+    /// The same of all frames, in their order.
+    #[must_use]
+    pub fn all_taken(&self) -> Vec<Taken> {
+        self.read(0, self.paths.dims()[0])
+    }
+
+    /// What the camera did in `count` frames from one on.
+    fn read(&self, first: usize, count: usize) -> Vec<Taken> {
+        let of_frames = |tensor: &Tensor<2>| {
+            let rows = tensor.clone().detach().narrow(0, first, count);
+            rows.flatten::<1>(0, 1)
+        };
+        let of_all = |tensor: &Tensor<2>| tensor.clone().detach().flatten::<1>(0, 1);
         let all = [
-            row(&self.paths, frame),
-            row(&self.focus, frame),
-            row(&self.aperture, 0),
-            row(&self.shutter, 0),
+            of_frames(&self.paths),
+            of_frames(&self.focus),
+            of_all(&self.aperture),
+            of_all(&self.shutter),
         ];
-        let mut path: Vec<f64> = read(Tensor::cat(all.to_vec(), 1)).iter().collect();
-        let [focus, aperture, shutter] = path
-            .split_off(RIGID * self.degree())
-            .try_into()
-            .expect("three numbers beside the path");
-        Taken {
-            path,
-            focus,
+        let values: Vec<f64> = read(Tensor::cat(all.to_vec(), 0)).iter().collect();
+        let width = RIGID * self.degree();
+        let (paths, others) = values.split_at(width * count);
+        let (aperture, shutter) = (others[count], others[count + 1]);
+        let frames = paths.chunks_exact(width).zip(others);
+        let taken = frames.map(|(path, focus)| Taken {
+            path: path.to_vec(),
+            focus: *focus,
             aperture,
             shutter,
-        }
+        });
+        taken.collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{samples, turns};
+    use crate::{samples, shift_of, turn_of};
 
     const SIZE: f64 = 3.0;
 
@@ -321,32 +288,44 @@ mod tests {
             let numbers = (0..12 * degree).map(|k| 1e-4 * (1.3 * f64::from(k)).cos());
             let mut capture = capture();
             capture.paths = tensor(numbers.collect(), [2, 6 * degree as usize]);
-            let before = values(&capture.mean_shifts());
+            let mut taken = capture.all_taken().swap_remove(1);
+            let before = shift_of(taken.mean_motion());
             // What is left out is of the second order in the motions.
-            let [x, y] = mean_place(&capture);
-            assert!((before[2] - x).abs() < 1e-7, "{degree}: {} {x}", before[2]);
-            assert!((before[3] - y).abs() < 1e-7, "{degree}: {} {y}", before[3]);
-
-            let by = [3e-4, -1e-4, -2e-4, 5e-4];
-            let speeds = values(&capture.paths.clone().narrow(1, 0, RIGID));
-            capture.bend(turns(tensor(by.to_vec(), [2, 2])));
-            let after = values(&capture.mean_shifts());
-            for ((after, before), by) in after.iter().zip(&before).zip(by) {
-                assert!((after - before - by).abs() < 1e-15, "{degree}");
+            let place = mean_place(&capture);
+            for (before, place) in before.iter().zip(place) {
+                assert!((before - place).abs() < 1e-7, "{degree}: {before} {place}");
             }
-            let [x, y] = mean_place(&capture);
-            assert!((after[2] - x).abs() < 1e-6, "{degree}: {} {x}", after[2]);
-            assert!((after[3] - y).abs() < 1e-6, "{degree}: {} {y}", after[3]);
-            assert_eq!(values(&capture.paths.clone().narrow(1, 0, RIGID)), speeds);
 
-            let before = values(&capture.mean_motions());
-            let by: Vec<f64> = (0..12).map(|k| 1e-3 * f64::from(k - 5)).collect();
-            capture.bend(tensor(by.clone(), [2, RIGID]));
-            let after = values(&capture.mean_motions());
-            for ((after, before), by) in after.iter().zip(&before).zip(by) {
-                assert!((after - before - by).abs() < 1e-15, "{degree}");
+            let (straight, by) = (taken.path[..RIGID].to_vec(), [-2e-4, 5e-4]);
+            taken.bend(turn_of(by));
+            for (axis, after) in shift_of(taken.mean_motion()).into_iter().enumerate() {
+                assert!((after - before[axis] - by[axis]).abs() < 1e-15, "{degree}");
+            }
+            assert_eq!(taken.path[..RIGID], straight);
+            let first = capture.taken(0).path;
+            let paths = [first, taken.path.clone()].concat();
+            capture.paths = tensor(paths, [2, 6 * degree as usize]);
+            let after = shift_of(taken.mean_motion());
+            for (after, place) in after.iter().zip(mean_place(&capture)) {
+                assert!((after - place).abs() < 1e-6, "{degree}: {after} {place}");
+            }
+
+            let before = taken.mean_motion();
+            let by: [f64; RIGID] = std::array::from_fn(|k| 1e-3 * (k as f64 - 2.0));
+            taken.bend(by);
+            for (number, after) in taken.mean_motion().into_iter().enumerate() {
+                assert!(
+                    (after - before[number] - by[number]).abs() < 1e-15,
+                    "{degree}"
+                );
             }
         }
+    }
+
+    #[test]
+    fn all_frames_are_read_as_each_is() {
+        let capture = capture();
+        assert_eq!(capture.all_taken(), [capture.taken(0), capture.taken(1)]);
     }
 
     #[test]

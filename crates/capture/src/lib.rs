@@ -31,6 +31,6 @@ mod samples;
 mod taken;
 
 pub use capture::Capture;
-pub use motion::{RIGID, moved, shift_in_image, turns};
+pub use motion::{RIGID, moved, shift_in_image, shift_of, turn_of, turns};
 pub use samples::{GOLDEN_ANGLE, Sample, samples, samples_for};
 pub use taken::Taken;

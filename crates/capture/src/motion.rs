@@ -24,31 +24,36 @@ pub fn moved(motions: Tensor<2>, pose: &Tensor<2>, size: f64) -> Tensor<3> {
     )
 }
 
-/// How far rigid motions [n, 6] of a camera shift what is ahead at the depth S in the image, focal lengths (x, y): [n, 2].
+/// How far a rigid motion of a camera shifts what is ahead at the depth S in the image, focal lengths (x, y).
+#[must_use]
+pub fn shift_of(motion: [f64; RIGID]) -> [f64; 2] {
+    // A turn of (x, y) shifts it by (y, -x), a translation of one S by one.
+    [motion[1] + motion[3], motion[4] - motion[0]]
+}
+
+/// The turn of a camera that shifts all that is ahead by so much, focal lengths (x, y).
+#[must_use]
+pub fn turn_of([x, y]: [f64; 2]) -> [f64; RIGID] {
+    [-y, x, 0.0, 0.0, 0.0, 0.0]
+}
+
+/// [`shift_of`] of rigid motions [n, 6]: [n, 2].
 #[must_use]
 pub fn shift_in_image(motions: Tensor<2>) -> Tensor<2> {
     let options = (&motions.device(), motions.dtype());
-    // A turn of (x, y) shifts it by (y, -x), a translation of one S by one.
-    let rows = [
-        [0.0, -1.0],
-        [1.0, 0.0],
-        [0.0, 0.0],
-        [1.0, 0.0],
-        [0.0, 1.0],
-        [0.0, 0.0],
-    ];
+    let rows: [[f64; 2]; RIGID] = std::array::from_fn(|number| {
+        let mut one = [0.0; RIGID];
+        one[number] = 1.0;
+        shift_of(one)
+    });
     motions.matmul(Tensor::from_data(rows, options))
 }
 
-/// Rigid motions [n, 6] of a camera that shift all that is ahead by so much, focal lengths (x, y), [n, 2]: turns.
+/// [`turn_of`] of shifts [n, 2]: rigid motions [n, 6].
 #[must_use]
 pub fn turns(shifts: Tensor<2>) -> Tensor<2> {
     let options = (&shifts.device(), shifts.dtype());
-    // A turn of (-y, x) shifts by (x, y).
-    let rows = [
-        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
-        [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    ];
+    let rows = [[1.0, 0.0], [0.0, 1.0]].map(turn_of);
     shifts.matmul(Tensor::from_data(rows, options))
 }
 

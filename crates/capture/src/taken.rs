@@ -1,6 +1,6 @@
 //! What the camera did in one frame, in plain numbers.
 
-use crate::motion::RIGID;
+use crate::motion::{RIGID, shift_of};
 
 /// What the camera did in one frame; see [`Capture`](crate::Capture) for the units.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,16 +21,7 @@ impl Taken {
     /// What turns around the optical axis is not counted.
     #[must_use]
     pub fn path_px(&self, focal_px: f64) -> f64 {
-        // A turn of (x, y) moves what is ahead by (-y, x), a translation of one scene size at depth S by 1.
-        let at = |s: f64| -> [f64; 2] {
-            let mut place = [0.0; 2];
-            for (k, step) in self.path.chunks_exact(RIGID).enumerate() {
-                let power = s.powi(k as i32 + 1);
-                place[0] += power * (step[1] + step[3]);
-                place[1] += power * (step[4] - step[0]);
-            }
-            place
-        };
+        let at = |s: f64| shift_of(self.sum_of(|power| s.powi(power)));
         let parts = 8;
         let moment = |k: usize| k as f64 / parts as f64 - 0.5;
         (0..parts)
@@ -39,6 +30,41 @@ impl Taken {
                 focal_px * (x1 - x0).hypot(y1 - y0)
             })
             .sum()
+    }
+
+    /// The mean of its motion over the exposure: a turn (rad) and a translation (scene sizes).
+    #[must_use]
+    pub fn mean_motion(&self) -> [f64; RIGID] {
+        // The mean of s^k from -1/2 to 1/2.
+        self.sum_of(|power| {
+            if power % 2 == 0 {
+                0.5_f64.powi(power) / f64::from(power + 1)
+            } else {
+                0.0
+            }
+        })
+    }
+
+    /// Bends the path, so that [`Self::mean_motion`] grows by `motion`; the middle of the exposure stays where it is.
+    ///
+    /// # Panics
+    /// Where the path is straight (of degree 1): it has no mean but its middle.
+    pub fn bend(&mut self, motion: [f64; RIGID]) {
+        // The mean of s² is 1/12.
+        for (bend, by) in self.path[RIGID..2 * RIGID].iter_mut().zip(motion) {
+            *bend += 12.0 * by;
+        }
+    }
+
+    /// The sum of the path's coefficients, each times a weight of its power of s.
+    fn sum_of(&self, weight: impl Fn(i32) -> f64) -> [f64; RIGID] {
+        let mut sum = [0.0; RIGID];
+        for (power, coefficients) in (1..).zip(self.path.chunks_exact(RIGID)) {
+            for (sum, coefficient) in sum.iter_mut().zip(coefficients) {
+                *sum += weight(power) * coefficient;
+            }
+        }
+        sum
     }
 
     /// Diameter of the disc that a point at depth S / `disparity` becomes, px.

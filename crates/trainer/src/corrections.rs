@@ -2,7 +2,7 @@
 
 use crate::look::{Look, Terms};
 use crate::parameter::{Group, Parameter};
-use crate::scene_shift::{SceneShift, Shared};
+use crate::scene_shift::SceneShift;
 use crate::settings::Settings;
 use crate::survey::Survey;
 use crate::tensors::{host, leaf};
@@ -18,8 +18,8 @@ pub struct Corrections {
     /// Offsets from the given poses, [N, 6], in the camera's axes: rotation vectors (rad) and translations (S); `None` where
     /// the given poses hold.
     offsets: Option<Tensor<2>>,
-    /// What the frames' shifts have in common: that is the scene's.
-    shared: Option<Shared>,
+    /// The matrix [2 N, 2 N] that takes the frames' shifts to what they have in common: that is the scene's.
+    shared: Option<Tensor<2>>,
     /// Logarithms of the gains of the pictures' values, [N, 1]; `None` where frames are equally bright.
     gains: Option<Tensor<2>>,
     /// Weight of the offsets' shifts in the loss.
@@ -51,9 +51,10 @@ impl Corrections {
         let frames = &settings.frames;
         Self {
             offsets: frames.offsets.then(|| zeros(RIGID)),
-            shared: frames
-                .offsets
-                .then(|| SceneShift::of(&views.train).among(&all, &all, options)),
+            shared: frames.offsets.then(|| {
+                let shared = SceneShift::of(&views.train).among(&all, &all);
+                shared.of_shifts_on(options)
+            }),
             gains: frames.gains.holds(survey.gains_differ).then(|| zeros(1)),
             shift_weight: settings.loss.offset_shift,
             scene_size: survey.scene_size,
@@ -105,7 +106,10 @@ impl Corrections {
         }
         if let (Some(offsets), Some(shared)) = (&mut self.offsets, &self.shared) {
             let held = offsets.clone().inner();
-            let common = shared.of_shifts(shift_in_image(held.clone()));
+            let shifts = shift_in_image(held.clone());
+            let shape = shifts.dims();
+            let common = shared.clone().matmul(shifts.reshape([2 * shape[0], 1]));
+            let common = common.reshape(shape);
             *offsets = leaf(held - turns(common), true);
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::columns::Columns;
 use crate::views::CameraView;
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::DVec3;
 use splat_core::camera_center;
 use std::f64::consts::PI;
@@ -67,12 +67,7 @@ impl SceneShift {
 
     /// What frames have in common of which those count: others neither tell of it nor are told. Of shifts only those among them that
     /// `tell` do.
-    pub(crate) fn among(
-        &self,
-        counted: &[bool],
-        tell: &[bool],
-        options: (&Device, DType),
-    ) -> Shared {
+    pub(crate) fn among(&self, counted: &[bool], tell: &[bool]) -> Shared {
         let of_counted = |value: &dyn Fn(&[f64; 2]) -> f64| -> Vec<f64> {
             let frames = self.places.iter().zip(counted);
             frames
@@ -100,40 +95,49 @@ impl SceneShift {
             shifts.push(interleaved(&none, &wave));
             trends.push(wave);
         }
-        let both: Vec<bool> = tell.iter().flat_map(|tells| [*tells; 2]).collect();
+        let both = tell.iter().flat_map(|tells| [*tells; 2]).collect();
         Shared {
-            shifts: Columns::told_by(&both, shifts, options),
-            trends: Columns::spanning(trends, options),
+            shifts: Columns::told_by(both, shifts),
+            trends: Columns::spanning(trends),
         }
     }
 }
 
 impl Shared {
-    /// What of the frames' shifts [N, 2] is the scene's, by least squares: all shift alike, and each by how far its camera stands
-    /// aside, as they do if every point is nearer by the same disparity; and slow waves, where it may drift.
-    pub(crate) fn of_shifts(&self, shifts: Tensor<2>) -> Tensor<2> {
-        let shape = shifts.dims();
-        let all = shifts.reshape([shape[0] * shape[1], 1]);
-        self.shifts.part_of(all).reshape(shape)
+    /// What of the frames' shifts is the scene's, by least squares: all shift alike, and each by how far its camera stands aside, as
+    /// they do if every point is nearer by the same disparity; and slow waves, where it may drift.
+    pub(crate) fn of_shifts(&self, shifts: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let part = self.shifts.part_of(shifts.as_flattened());
+        let each = part.chunks_exact(2);
+        each.map(|shift| [shift[0], shift[1]]).collect()
     }
 
-    /// What of the frames' shifts [N, 2] is not the scene's.
-    pub(crate) fn own_shifts(&self, shifts: Tensor<2>) -> Tensor<2> {
-        shifts.clone() - self.of_shifts(shifts)
+    /// What of the frames' shifts is not the scene's.
+    pub(crate) fn own_shifts(&self, shifts: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let scenes = self.of_shifts(shifts);
+        let each = shifts.iter().zip(scenes);
+        each.map(|(shift, scenes)| [0, 1].map(|axis| shift[axis] - scenes[axis]))
+            .collect()
     }
 
-    /// What of any numbers of the frames [N, C] is the same in all, or in proportion to where their cameras stand, right or down, by
-    /// least squares. A scene that tilts, turns or grows with the camera's place looks like that. Where it may drift, slow waves
+    /// [`Self::of_shifts`] of N frames on a device: the matrix [2 N, 2 N] that takes shifts, one below the other, to the scene's.
+    pub(crate) fn of_shifts_on(&self, options: (&Device, DType)) -> Tensor<2> {
+        let matrix = self.shifts.projection();
+        let rows = matrix.len().isqrt();
+        Tensor::<2>::from_data(TensorData::new(matrix, [rows, rows]), options).inner()
+    }
+
+    /// What of any numbers of the frames, one each, is the same in all, or in proportion to where their cameras stand, right or down,
+    /// by least squares. A scene that tilts, turns or grows with the camera's place looks like that. Where it may drift, slow waves
     /// are the scene's as well.
-    pub(crate) fn of_any(&self, values: Tensor<2>) -> Tensor<2> {
-        self.trends.part_of(values)
+    pub(crate) fn of_any(&self, numbers: &[f64]) -> Vec<f64> {
+        self.trends.part_of(numbers)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use burn::tensor::TensorData;
     use glam::{DAffine3, DQuat};
     use splat_core::Camera;
 
@@ -154,20 +158,21 @@ mod tests {
         (0..9).map(view).collect()
     }
 
-    fn tensor(values: Vec<f64>, columns: usize) -> Tensor<2> {
-        let rows = values.len() / columns;
-        Tensor::from_data(
-            TensorData::new(values, [rows, columns]),
-            options_of(&Device::flex()),
-        )
+    /// Two numbers of each of so many frames.
+    fn any(frames: usize) -> Vec<[f64; 2]> {
+        let any = |k: usize| (1.1 * k as f64 + 0.3).sin();
+        (0..frames).map(|k| [any(2 * k), any(2 * k + 1)]).collect()
     }
 
-    fn options_of(device: &Device) -> (&Device, DType) {
-        (device, DType::F64)
+    fn all_told(scene_shift: &SceneShift) -> Shared {
+        let all = vec![true; scene_shift.places.len()];
+        scene_shift.among(&all, &all)
     }
 
-    fn values(tensor: Tensor<2>) -> Vec<f64> {
-        tensor.try_into_vec_as::<f64>().expect("f64")
+    /// By how much two lists of shifts are apart where most.
+    fn apart(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
+        let pairs = a.as_flattened().iter().zip(b.as_flattened());
+        pairs.fold(0.0, |most, (a, b)| (a - b).abs().max(most))
     }
 
     #[test]
@@ -178,7 +183,7 @@ mod tests {
         let mean = centers.sum::<DVec3>() / views.len() as f64;
         // Points ahead, seen alike from the mean place and nearer by a disparity: they shift in a frame by how far it stands aside.
         let (disparity, all) = (0.004, DVec3::new(0.003, -0.001, 0.0));
-        let shifts = views.iter().flat_map(|view| {
+        let shifts = views.iter().map(|view| {
             let aside = view
                 .cam_from_world
                 .transform_vector3(camera_center(&view.cam_from_world) - mean);
@@ -186,61 +191,64 @@ mod tests {
             let shift = ahead(1.0 / 5.0 + disparity) - ahead(1.0 / 5.0) + all;
             [shift.x, shift.y]
         });
-        let shifts = shifts.collect::<Vec<f64>>();
-        let shared = scene_shift.among(&[true; 9], &[true; 9], options_of(&Device::flex()));
-        let common = values(shared.of_shifts(tensor(shifts.clone(), 2)));
-        for (common, shift) in common.iter().zip(&shifts) {
-            assert!((common - shift).abs() < 1e-12, "{common} {shift}");
-        }
+        let shifts: Vec<_> = shifts.collect();
+        let shared = all_told(&scene_shift);
+        let off = apart(&shared.of_shifts(&shifts), &shifts);
+        assert!(off < 1e-12, "{off}");
 
         // Of any shifts, what is not common has nothing in common.
-        let any: Vec<f64> = (0..18).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
-        let common = shared.of_shifts(tensor(any.clone(), 2));
-        let rest = tensor(any, 2) - common;
-        for value in values(shared.of_shifts(rest)) {
-            assert!(value.abs() < 1e-12, "{value}");
+        let rest = shared.own_shifts(&any(9));
+        let left = apart(&shared.of_shifts(&rest), &[[0.0; 2]; 9]);
+        assert!(left < 1e-12, "{left}");
+    }
+
+    #[test]
+    fn a_device_finds_the_same() {
+        let mut told = [true; 9];
+        told[3] = false;
+        let shared = SceneShift::of(&views()).drifting().among(&[true; 9], &told);
+        let device = Device::flex();
+        let options = (&device, DType::F64);
+        let shifts = TensorData::new(any(9).concat(), [18, 1]);
+        let found = shared
+            .of_shifts_on(options)
+            .matmul(Tensor::from_data(shifts, options));
+        let found = found.try_into_vec_as::<f64>().expect("f64");
+        let expected = shared.of_shifts(&any(9)).concat();
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-14, "{found} {expected}");
         }
     }
 
     #[test]
     fn frames_that_do_not_count_neither_shift_nor_tell() {
         let scene_shift = SceneShift::of(&views());
-        let mut shifts: Vec<f64> = (0..18).map(|k| (0.7 * f64::from(k)).cos()).collect();
+        let mut shifts = any(9);
         let mut counted = [true; 9];
         counted[4] = false;
-        let device = Device::flex();
-        let some = scene_shift.among(&counted, &counted, options_of(&device));
-        let none = scene_shift.among(&[false; 9], &[false; 9], options_of(&device));
-        let common = |shifts: &[f64]| values(some.of_shifts(tensor(shifts.to_vec(), 2)));
-        let trend = |shifts: &[f64]| values(some.of_any(tensor(shifts.to_vec(), 2)));
-        let before = (common(&shifts), trend(&shifts));
-        assert_eq!(before.0[8..10], [0.0, 0.0]);
-        assert_eq!(before.1[8..10], [0.0, 0.0]);
-        shifts[8] = 100.0;
-        shifts[9] = -100.0;
-        assert_eq!((common(&shifts), trend(&shifts)), before);
-        let shifts = tensor(shifts, 2);
-        assert_eq!(values(none.of_shifts(shifts.clone())), vec![0.0; 18]);
-        assert_eq!(values(none.of_any(shifts)), vec![0.0; 18]);
+        let some = scene_shift.among(&counted, &counted);
+        let none = scene_shift.among(&[false; 9], &[false; 9]);
+        let right = |shifts: &[[f64; 2]]| -> Vec<f64> { shifts.iter().map(|s| s[0]).collect() };
+        let found = |shifts: &[[f64; 2]]| (some.of_shifts(shifts), some.of_any(&right(shifts)));
+        let before = found(&shifts);
+        assert_eq!((before.0[4], before.1[4]), ([0.0; 2], 0.0));
+        shifts[4] = [100.0, -100.0];
+        assert_eq!(found(&shifts), before);
+        assert_eq!(none.of_shifts(&shifts), [[0.0; 2]; 9]);
+        assert_eq!(none.of_any(&right(&shifts)), [0.0; 9]);
     }
 
     #[test]
     fn frames_that_do_not_tell_follow_the_others() {
         let scene_shift = SceneShift::of(&views());
-        let device = Device::flex();
-        let options = options_of(&device);
         let mut tell = [true; 9];
         (tell[0], tell[8]) = (false, false);
-        let any: Vec<f64> = (0..18).map(|k| (0.7 * f64::from(k)).cos()).collect();
-        let all = scene_shift.among(&[true; 9], &[true; 9], options);
-        let common = values(all.of_shifts(tensor(any, 2)));
+        let common = all_told(&scene_shift).of_shifts(&any(9));
         let mut shifts = common.clone();
-        (shifts[0], shifts[17]) = (100.0, -100.0);
-        let told = scene_shift.among(&[true; 9], &tell, options);
-        let found = values(told.of_shifts(tensor(shifts, 2)));
-        for (found, common) in found.iter().zip(&common) {
-            assert!((found - common).abs() < 1e-12, "{found} {common}");
-        }
+        (shifts[0][0], shifts[8][1]) = (100.0, -100.0);
+        let told = scene_shift.among(&[true; 9], &tell);
+        let off = apart(&told.of_shifts(&shifts), &common);
+        assert!(off < 1e-12, "{off}");
     }
 
     #[test]
@@ -251,13 +259,11 @@ mod tests {
             let center = DVec3::new(1.0, 2.0, 0.0) * f64::from(view.time);
             view.cam_from_world = DAffine3::from_translation(-center);
         }
-        let any: Vec<f64> = (0..18).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
         for _ in 0..2 {
-            let shared =
-                SceneShift::of(&views).among(&[true; 9], &[true; 9], options_of(&Device::flex()));
-            let once = shared.of_any(tensor(any.clone(), 2));
-            let twice = values(shared.of_any(once.clone()));
-            for (once, twice) in values(once).iter().zip(twice) {
+            let shared = all_told(&SceneShift::of(&views));
+            let numbers = any(9).iter().map(|n| n[0]).collect::<Vec<_>>();
+            let once = shared.of_any(&numbers);
+            for (once, twice) in once.iter().zip(shared.of_any(&once)) {
                 assert!((once - twice).abs() < 1e-12, "{once} {twice}");
             }
             for view in &mut views {
@@ -271,18 +277,12 @@ mod tests {
         let mut view = views().swap_remove(0);
         view.cam_from_world = DAffine3::IDENTITY;
         let still = SceneShift::of(&vec![view; frames]);
-        let numbers = tensor((0..frames).map(|i| of(i as f64)).collect(), 1);
-        let both: Vec<f64> = values(numbers.clone())
-            .iter()
-            .flat_map(|v| [*v, -2.0 * v])
-            .collect();
+        let numbers: Vec<f64> = (0..frames).map(|i| of(i as f64)).collect();
+        let both: Vec<[f64; 2]> = numbers.iter().map(|v| [*v, -2.0 * v]).collect();
         [still.clone().drifting(), still].map(|shift| {
-            let (device, all) = (Device::flex(), vec![true; frames]);
-            let options = options_of(&device);
-            let shared = shift.among(&all, &all, options);
-            let any = values(shared.of_any(numbers.clone()));
-            let shifts = values(shared.of_shifts(tensor(both.clone(), 2)));
-            for (any, shifts) in any.iter().zip(shifts.chunks(2)) {
+            let shared = all_told(&shift);
+            let any = shared.of_any(&numbers);
+            for (any, shifts) in any.iter().zip(shared.of_shifts(&both)) {
                 let off = (shifts[0] - any).abs() + (shifts[1] + 2.0 * any).abs();
                 assert!(off < 1e-12, "shifts are told as anything is: {off}");
             }
@@ -318,30 +318,33 @@ mod tests {
     fn a_trend_is_all_that_goes_with_the_cameras_place_and_nothing_is_left_of_it() {
         let views = views();
         let scene_shift = SceneShift::of(&views);
-        let shared = scene_shift.among(&[true; 9], &[true; 9], options_of(&Device::flex()));
+        let shared = all_told(&scene_shift);
         let centers: Vec<DVec3> = views
             .iter()
             .map(|v| camera_center(&v.cam_from_world))
             .collect();
         let mean = centers.iter().sum::<DVec3>() / views.len() as f64;
-        // Three numbers a frame: each a number for all, and so much for each unit right and down.
-        let numbers = views.iter().zip(&centers).flat_map(|(view, center)| {
-            let aside = view.cam_from_world.transform_vector3(center - mean);
-            [[0.3, 0.01, -0.02], [-2.0, 0.0, 0.5], [0.0, 1e-4, 0.0]]
-                .map(|[all, right, down]| all + right * aside.x + down * aside.y)
-        });
-        let numbers = tensor(numbers.collect(), 3);
-        let trend = shared.of_any(numbers.clone());
-        for rest in values(numbers - trend) {
-            assert!(rest.abs() < 1e-12, "{rest}");
+        let rest_of = |numbers: &[f64]| -> Vec<f64> {
+            let scenes = shared.of_any(numbers);
+            numbers.iter().zip(scenes).map(|(n, s)| n - s).collect()
+        };
+        // A number for all, and so much for each unit right and down.
+        for [all, right, down] in [[0.3, 0.01, -0.02], [-2.0, 0.0, 0.5], [0.0, 1e-4, 0.0]] {
+            let numbers = views.iter().zip(&centers).map(|(view, center)| {
+                let aside = view.cam_from_world.transform_vector3(center - mean);
+                all + right * aside.x + down * aside.y
+            });
+            for rest in rest_of(&numbers.collect::<Vec<_>>()) {
+                assert!(rest.abs() < 1e-12, "{rest}");
+            }
         }
 
-        let any: Vec<f64> = (0..27).map(|k| (1.1 * f64::from(k) + 0.3).sin()).collect();
-        let any = tensor(any, 3);
-        let rest = any.clone() - shared.of_any(any);
-        assert!(values(rest.clone()).iter().any(|rest| rest.abs() > 0.1));
-        for value in values(shared.of_any(rest)) {
-            assert!(value.abs() < 1e-12, "{value}");
+        for axis in [0, 1] {
+            let rest = rest_of(&any(9).iter().map(|n| n[axis]).collect::<Vec<_>>());
+            assert!(rest.iter().any(|rest| rest.abs() > 0.1));
+            for value in shared.of_any(&rest) {
+                assert!(value.abs() < 1e-12, "{value}");
+            }
         }
     }
 }

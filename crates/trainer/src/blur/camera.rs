@@ -26,7 +26,7 @@ use crate::tensors::{constant, host, leaf};
 use crate::views::{Views, pose_tensor, poses_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, samples, samples_for};
+use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, Taken, samples, samples_for};
 use gauge::Gauge;
 use glam::DAffine3;
 use grown::grown;
@@ -47,6 +47,8 @@ const TABLE: &str = "camera.explained";
 #[derive(Clone, Debug)]
 pub struct CameraBlur {
     capture: Capture,
+    /// What it says of every frame, as it was last read; `None` where it may have changed since.
+    taken: Option<Vec<Taken>>,
     gauge: Gauge,
     settings: CameraSettings,
     moments: Moments,
@@ -99,6 +101,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
+            taken: None,
             gauge: Gauge::of(&views.train, survey.scene_size),
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
@@ -293,12 +296,20 @@ impl CameraBlur {
         if self.settings.path == When::Never || self.settings.path_degree < 2 || !self.is_on(it) {
             return;
         }
-        let mut held = Capture {
-            paths: self.capture.paths.clone().inner(),
-            ..self.capture.clone()
-        };
-        self.gauge.fix(&mut held);
-        self.capture.paths = leaf(held.paths, true);
+        let mut taken = self.capture.all_taken();
+        self.gauge.fix(&mut taken);
+        let paths = &self.capture.paths;
+        let (shape, device, dtype) = (paths.dims(), paths.device(), paths.dtype());
+        let held = taken.iter().flat_map(|frame| frame.path.iter().copied());
+        let held = TensorData::new(held.collect::<Vec<f64>>(), shape).convert_dtype(dtype);
+        // As the device has them.
+        let rounded: Vec<f64> = held.iter().collect();
+        for (frame, path) in taken.iter_mut().zip(rounded.chunks_exact(shape[1])) {
+            frame.path.copy_from_slice(path);
+        }
+        let held = Tensor::<2>::from_data(held, (&device, dtype)).inner();
+        self.capture.paths = leaf(held, true);
+        self.taken = Some(taken);
     }
 
     /// What a checkpoint keeps of it beside its parameters.
@@ -328,6 +339,7 @@ impl CameraBlur {
 
     /// Those that are trained.
     pub(super) fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
+        self.taken = None;
         let Capture {
             paths,
             focus,

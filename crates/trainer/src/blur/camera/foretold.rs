@@ -3,11 +3,10 @@
 
 use crate::scene_shift::Shared;
 use crate::views::CameraView;
-use burn::tensor::{DType, Device, Tensor, TensorData};
-use capture::{RIGID, shift_in_image};
+use capture::{RIGID, shift_of};
 use glam::{DAffine3, DQuat};
 
-/// Shifts whose squares come to less have nothing to say. The product of two such is a normal number in f32 as well.
+/// Shifts whose squares come to less have nothing to say.
 const LEAST_SQUARE: f64 = 1e-18;
 /// What is foretold is believed whole where it explains so much or more of what the scene cannot show of the means, and in
 /// proportion to that below. (RESULTS.md, "Believed by how much they explain", has what was seen.)
@@ -23,13 +22,13 @@ pub(super) struct Accelerations {
 /// How far they shift the means of paths in the image, up to one factor for all.
 #[derive(Clone, Debug)]
 pub(super) struct Foretold {
-    /// Shifts per frame², [N, 2]; 0 where they are not known.
-    shifts: Tensor<2>,
+    /// Shifts of each frame, per frame²; 0 where they are not known.
+    shifts: Vec<[f64; 2]>,
     /// What of them no scene that lies elsewhere shows, of the frames that tell.
-    own: Tensor<2>,
-    own_square: Tensor<1>,
-    /// 1 at the shifts of frames that tell, 0 at others.
-    told: Tensor<2>,
+    own: Vec<[f64; 2]>,
+    own_square: f64,
+    /// Frames that tell.
+    told: Vec<bool>,
     /// What such a scene shows.
     pub(super) shared: Shared,
 }
@@ -67,57 +66,57 @@ impl Accelerations {
     }
 
     /// What is foretold of some frames, which are those that tell of what is `shared`.
-    pub(super) fn foretold(
-        &self,
-        told: &[bool],
-        shared: &Shared,
-        options: (&Device, DType),
-    ) -> Foretold {
-        let table = |values: Vec<f64>, columns: usize| {
-            Tensor::<2>::from_data(TensorData::new(values, [told.len(), columns]), options)
+    pub(super) fn foretold(&self, told: Vec<bool>, shared: Shared) -> Foretold {
+        let frames = self.frames.iter().zip(&told);
+        let shift = |(a, told): (&Option<[f64; RIGID]>, &bool)| {
+            a.filter(|_| *told).map(shift_of).unwrap_or_default()
         };
-        let rows = self.frames.iter().zip(told);
-        let rows = rows.flat_map(|(a, told)| a.filter(|_| *told).unwrap_or_default());
-        let shifts = shift_in_image(table(rows.collect(), RIGID));
-        let told = told.iter().flat_map(|told| [f64::from(u8::from(*told)); 2]);
-        let told = table(told.collect(), 2);
-        let own = shared.own_shifts(shifts.clone()) * told.clone();
+        let shifts: Vec<_> = frames.map(shift).collect();
+        let own = own_of(&told, &shared, &shifts);
         Foretold {
-            own_square: square(&own),
+            own_square: product(&own, &own).max(LEAST_SQUARE),
             own,
             shifts,
             told,
-            shared: shared.clone(),
+            shared,
         }
     }
 }
 
 impl Foretold {
-    /// How far it is to be believed of means [N, 2]; [1, 1], from 0, where it explains nothing of what of them the scene cannot show,
-    /// to 1.
-    pub(super) fn belief(&self, means: Tensor<2>) -> Tensor<2> {
+    /// How far it is to be believed of means: from 0, where it explains nothing of what of them the scene cannot show, to 1.
+    pub(super) fn belief(&self, means: &[[f64; 2]]) -> f64 {
         let own = self.own_of(means);
-        let product = (own.clone() * self.own.clone()).sum().clamp_min(0.0);
-        let explained = product.square() / (self.own_square.clone() * square(&own));
-        let belief = explained / EXPLAINS;
-        belief.clamp_max(1.0).reshape([1, 1])
+        let along = product(&own, &self.own).max(0.0);
+        let explained = along * along / (self.own_square * product(&own, &own).max(LEAST_SQUARE));
+        (explained / EXPLAINS).min(1.0)
     }
 
-    /// By how far means [N, 2] are not as foretold: with the factor, not negative, that fits best what of them the scene cannot
-    /// show, times how far it is believed. A hand that the poses say nothing of is foretold to rest.
-    pub(super) fn missed(&self, means: Tensor<2>, belief: Tensor<2>) -> Tensor<2> {
-        let product = (self.own_of(means.clone()) * self.own.clone()).sum();
-        let factor = product.clamp_min(0.0) / self.own_square.clone();
-        means - self.shifts.clone() * (factor.reshape([1, 1]) * belief)
+    /// By how far means are not as foretold: with the factor, not negative, that fits best what of them the scene cannot show, times
+    /// how far it is believed. A hand that the poses say nothing of is foretold to rest.
+    pub(super) fn missed(&self, means: &[[f64; 2]], belief: f64) -> Vec<[f64; 2]> {
+        let along = product(&self.own_of(means), &self.own).max(0.0);
+        let factor = belief * along / self.own_square;
+        let each = means.iter().zip(&self.shifts);
+        each.map(|(mean, shift)| [0, 1].map(|axis| mean[axis] - factor * shift[axis]))
+            .collect()
     }
 
-    fn own_of(&self, means: Tensor<2>) -> Tensor<2> {
-        self.shared.own_shifts(means) * self.told.clone()
+    fn own_of(&self, means: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        own_of(&self.told, &self.shared, means)
     }
 }
 
-fn square(of: &Tensor<2>) -> Tensor<1> {
-    of.clone().square().sum().clamp_min(LEAST_SQUARE)
+/// What of shifts no scene that lies elsewhere shows; 0 of frames that do not tell.
+fn own_of(told: &[bool], shared: &Shared, shifts: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let own = shared.own_shifts(shifts).into_iter().zip(told);
+    own.map(|(own, told)| if *told { own } else { [0.0; 2] })
+        .collect()
+}
+
+fn product(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
+    let pairs = a.as_flattened().iter().zip(b.as_flattened());
+    pairs.map(|(a, b)| a * b).sum()
 }
 
 /// A small rigid motion as a turn (rad) and a translation in units of `size`.
@@ -135,14 +134,6 @@ mod tests {
     use splat_core::Camera;
 
     const TIMES: [f32; 9] = [0.0, 1.0, 2.0, 3.5, 4.0, 5.0, 6.0, 8.0, 9.0];
-
-    fn options_of(device: &Device) -> (&Device, DType) {
-        (device, DType::F64)
-    }
-
-    fn values(tensor: Tensor<2>) -> Vec<f64> {
-        tensor.try_into_vec_as::<f64>().expect("f64")
-    }
 
     /// Cameras that stand and look as `of` a time says.
     fn views(of: impl Fn(f64) -> (DVec3, DVec3)) -> Vec<CameraView> {
@@ -196,87 +187,87 @@ mod tests {
         (turn, DVec3::new(-0.3 * t, 0.05 * (0.4 * t).sin(), 0.0))
     }
 
-    /// What is foretold of such frames, and what they share.
-    fn foretold(views: &[CameraView], device: &Device) -> (Foretold, Shared) {
+    /// What is foretold of such frames.
+    fn foretold(views: &[CameraView]) -> Foretold {
         let accelerations = Accelerations::of(views, 2.0);
         let told = accelerations.known(&[true; 9]);
-        let shared = SceneShift::of(views).among(&[true; 9], &told, options_of(device));
-        let foretold = accelerations.foretold(&told, &shared, options_of(device));
-        (foretold, shared)
+        let shared = SceneShift::of(views).among(&[true; 9], &told);
+        accelerations.foretold(told, shared)
     }
 
-    fn any(device: &Device) -> Tensor<2> {
-        let any: Vec<f64> = (0..18).map(|k| 0.01 * (f64::from(k) + 0.3).sin()).collect();
-        Tensor::from_data(TensorData::new(any, [9, 2]), options_of(device))
+    fn any() -> Vec<[f64; 2]> {
+        let any = |k: usize| 0.01 * (k as f64 + 0.3).sin();
+        (0..9).map(|k| [any(2 * k), any(2 * k + 1)]).collect()
     }
 
-    fn missed(foretold: &Foretold, means: Tensor<2>) -> Tensor<2> {
-        foretold.missed(means.clone(), foretold.belief(means))
+    /// The sum of two lists of shifts, the second times a factor.
+    fn sum(a: &[[f64; 2]], times: f64, b: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let each = a.iter().zip(b);
+        each.map(|(a, b)| [0, 1].map(|axis| a[axis] + times * b[axis]))
+            .collect()
+    }
+
+    fn largest(of: &[[f64; 2]]) -> f64 {
+        let all = of.as_flattened().iter();
+        all.fold(0.0, |most, v| v.abs().max(most))
+    }
+
+    fn missed(foretold: &Foretold, means: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        foretold.missed(means, foretold.belief(means))
     }
 
     #[test]
     fn the_scene_cannot_take_what_the_poses_foretell_of_paths() {
-        let device = Device::flex();
-        let (foretold, shared) = foretold(&views(shaking), &device);
+        let foretold = foretold(&views(shaking));
+        let shared = &foretold.shared;
         for factor in [0.0, 0.04, 0.3] {
             // As foretold, but for a scene that lies elsewhere, and for the ends, of which nothing is.
-            let truth = foretold.shifts.clone() * factor;
-            let moved = truth.clone() + shared.of_shifts(any(&device));
-            let mut ends = vec![0.0; 18];
-            (ends[1], ends[16]) = (0.02, -0.03);
-            let ends = Tensor::<2>::from_data(TensorData::new(ends, [9, 2]), options_of(&device));
-            let means = moved.clone() + ends.clone();
-            let held = means.clone() - shared.of_shifts(missed(&foretold, means.clone()));
-            let off = |means: Tensor<2>| -> f64 {
-                let off = values(means - truth.clone() - ends.clone());
-                off.into_iter().fold(0.0, |most, v| most.max(v.abs()))
-            };
-            assert!(off(means) > 1e-3, "{factor}: something is moved");
-            assert!(off(held) < 1e-12, "{factor}");
+            let mut truth = sum(&[[0.0; 2]; 9], factor, &foretold.shifts);
+            truth[0][1] += 0.02;
+            truth[8][0] -= 0.03;
+            let means = sum(&truth, 1.0, &shared.of_shifts(&any()));
+            let scenes = shared.of_shifts(&missed(&foretold, &means));
+            let held = sum(&means, -1.0, &scenes);
+            let off = |means: &[[f64; 2]]| largest(&sum(means, -1.0, &truth));
+            assert!(off(&means) > 1e-3, "{factor}: something is moved");
+            assert!(off(&held) < 1e-12, "{factor}");
         }
     }
 
     /// Where a hand does more than the poses say, they are believed whole as long as that is no more than what they do say.
     #[test]
     fn the_poses_are_believed_by_how_much_they_explain() {
-        let device = Device::flex();
-        let (foretold, shared) = foretold(&views(shaking), &device);
-        let norm = |of: &Tensor<2>| values(of.clone().square()).iter().sum::<f64>().sqrt();
-        let own = foretold.own.clone() / norm(&foretold.own);
+        let foretold = foretold(&views(shaking));
+        let of_length_one = |of: &[[f64; 2]]| {
+            let length = product(of, of).sqrt();
+            (sum(&[[0.0; 2]; 9], length.recip(), of), length)
+        };
+        let (own, length) = of_length_one(&foretold.own);
         // What nothing foretells and the scene cannot show either.
-        let other = shared.own_shifts(any(&device)) * foretold.told.clone();
-        let along: f64 = values(other.clone() * own.clone()).iter().sum();
-        let other = other - own * along;
-        let other = other.clone() / norm(&other);
+        let other = foretold.own_of(&any());
+        let (other, _) = of_length_one(&sum(&other, -product(&other, &own), &own));
         // Of means with so many times as much of that they explain 1, 0.8, 0.5, 0.2 and 0.1.
         for (times, believed) in [(0.0, 1.0), (0.5, 1.0), (1.0, 1.0), (2.0, 0.4), (3.0, 0.2)] {
             let factor = 0.04;
-            let own_means = factor * norm(&foretold.own);
-            let means = foretold.shifts.clone() * factor + other.clone() * (times * own_means);
-            let expected = means.clone() - foretold.shifts.clone() * (factor * believed);
-            let off = values(missed(&foretold, means) - expected);
-            assert!(off.iter().all(|v| v.abs() < 1e-15), "{times}: {off:?}");
+            let others = sum(&[[0.0; 2]; 9], times * factor * length, &other);
+            let means = sum(&others, factor, &foretold.shifts);
+            let expected = sum(&means, -factor * believed, &foretold.shifts);
+            let off = largest(&sum(&missed(&foretold, &means), -1.0, &expected));
+            assert!(off < 1e-15, "{times}: {off}");
         }
     }
 
     #[test]
     fn where_nothing_is_foretold_means_are_held_to_none() {
-        // A GPU may take less for 0, and 0 / 0 would be in every path.
-        assert!(((LEAST_SQUARE * LEAST_SQUARE) as f32).is_normal());
-        let device = Device::flex();
-        let all = values(any(&device));
         let still = views(|_| (DVec3::ZERO, DVec3::ZERO));
-        assert_eq!(
-            values(missed(&foretold(&still, &device).0, any(&device))),
-            all
-        );
+        assert_eq!(missed(&foretold(&still), &any()), any());
         assert_eq!(
             Accelerations::of(&still[..2], 2.0).known(&[true; 2]),
             [true; 2]
         );
         // Nor where they go against it.
-        let foretold = foretold(&views(shaking), &device).0;
-        let against = foretold.shifts.clone() * -0.1;
-        assert_eq!(values(missed(&foretold, against.clone())), values(against));
+        let foretold = foretold(&views(shaking));
+        let against = sum(&[[0.0; 2]; 9], -0.1, &foretold.shifts);
+        assert_eq!(missed(&foretold, &against), against);
     }
 }

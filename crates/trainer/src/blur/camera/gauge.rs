@@ -3,10 +3,8 @@
 
 use super::foretold::{Accelerations, Foretold};
 use crate::scene_shift::{SceneShift, Shared};
-use crate::tensors::host;
 use crate::views::CameraView;
-use burn::tensor::Tensor;
-use capture::{Capture, turns};
+use capture::{RIGID, Taken, shift_of, turn_of};
 
 /// What of the paths is the scene's.
 #[derive(Clone, Debug)]
@@ -49,52 +47,55 @@ impl Gauge {
     /// the turns about the optical axis and of the translations all that goes with the camera's place. Where the poses do not foretell
     /// what the frames have of their own, slow waves of all these are a drift of the scene, too. (A path that a trial left out stays
     /// out.)
-    pub(super) fn fix(&mut self, held: &mut Capture) {
+    pub(super) fn fix(&mut self, frames: &mut [Taken]) {
         let common = self.common.take();
-        let common = common.unwrap_or_else(|| self.common_of(&held.paths));
+        let common = common.unwrap_or_else(|| self.common_of(frames));
         let Common { steady, foretold } = &common;
-        let drifting = &foretold.shared;
-        let belief = foretold.belief(held.mean_shifts());
-        let drifts = belief.clone().floor().neg() + 1.0;
-        let scenes = |steady: Tensor<2>, drifting: Tensor<2>| {
-            steady.clone() + (drifting - steady) * drifts.clone()
+        let belief = foretold.belief(&mean_shifts(frames));
+        let shared = if belief < 1.0 {
+            &foretold.shared
+        } else {
+            steady
         };
         // Turns about x and y shift the image: those are held with the shifts, below.
-        let options = (&held.paths.device(), held.paths.dtype());
-        let others = Tensor::<2>::from_data([[0.0, 0.0, 1.0, 1.0, 1.0, 1.0]], options);
-        let motions = held.mean_motions();
-        let of_motions = scenes(steady.of_any(motions.clone()), drifting.of_any(motions));
-        held.bend(-of_motions * others);
-        let missed = foretold.missed(held.mean_shifts(), belief);
-        let of_shifts = scenes(steady.of_shifts(missed.clone()), drifting.of_shifts(missed));
-        held.bend(-turns(of_shifts));
+        for number in 2..RIGID {
+            let means: Vec<f64> = frames.iter().map(|f| f.mean_motion()[number]).collect();
+            for (frame, scenes) in frames.iter_mut().zip(shared.of_any(&means)) {
+                let mut back = [0.0; RIGID];
+                back[number] = -scenes;
+                frame.bend(back);
+            }
+        }
+        let missed = foretold.missed(&mean_shifts(frames), belief);
+        for (frame, [x, y]) in frames.iter_mut().zip(shared.of_shifts(&missed)) {
+            frame.bend(turn_of([-x, -y]));
+        }
         self.common = Some(common);
     }
 
-    /// Of such paths [N, 6 D]: those of no length are not there.
-    fn common_of(&self, paths: &Tensor<2>) -> Common {
-        let options = (&paths.device(), paths.dtype());
-        let width = paths.dims()[1];
-        let moving: Vec<bool> = host(paths.clone())
-            .chunks_exact(width)
-            .map(|path| path.iter().any(|p| *p != 0.0))
-            .collect();
+    /// Of such paths: those of no length are not there.
+    fn common_of(&self, frames: &[Taken]) -> Common {
+        let moving = frames.iter().map(|f| f.path.iter().any(|p| *p != 0.0));
+        let moving: Vec<bool> = moving.collect();
         let explained = moving.iter().zip(&self.explained);
         let explained: Vec<bool> = explained.map(|(moves, e)| *moves && *e).collect();
         let told = self.accelerations.known(&explained);
-        let among = |shift: &SceneShift| shift.among(&moving, &told, options);
-        let steady = among(&self.scene_shift);
-        let drifting = among(&self.scene_shift.clone().drifting());
-        let foretold = self.accelerations.foretold(&told, &drifting, options);
+        let steady = self.scene_shift.among(&moving, &told);
+        let drifting = self.scene_shift.clone().drifting().among(&moving, &told);
+        let foretold = self.accelerations.foretold(told, drifting);
         Common { steady, foretold }
     }
+}
+
+/// How far what is ahead is from its place in the sharp picture on average over each exposure.
+fn mean_shifts(frames: &[Taken]) -> Vec<[f64; 2]> {
+    let each = frames.iter();
+    each.map(|frame| shift_of(frame.mean_motion())).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use burn::tensor::{DType, Device, TensorData};
-    use capture::RIGID;
     use glam::{DAffine3, DVec3};
     use splat_core::Camera;
     use std::f64::consts::PI;
@@ -119,12 +120,15 @@ mod tests {
         if let Some(frame) = unexplained {
             gauge.explained[frame] = false;
         }
-        let options = (&Device::flex(), DType::F64);
-        let paths = TensorData::new(paths.to_vec(), [FRAMES, 2 * RIGID]);
-        let mut capture = Capture::still(FRAMES, 2, options);
-        capture.paths = Tensor::from_data(paths, options);
-        gauge.fix(&mut capture);
-        capture.paths.try_into_vec_as::<f64>().expect("f64")
+        let taken = paths.chunks_exact(2 * RIGID).map(|path| Taken {
+            path: path.to_vec(),
+            focus: 1.0,
+            aperture: 0.0,
+            shutter: 0.9,
+        });
+        let mut taken: Vec<Taken> = taken.collect();
+        gauge.fix(&mut taken);
+        taken.into_iter().flat_map(|taken| taken.path).collect()
     }
 
     /// By how much two lists are apart where most.
