@@ -1,7 +1,7 @@
 //! What the camera's trials find and decide.
 
 use burn::tensor::{DType, Device, Tensor};
-use capture::{Capture, samples};
+use capture::{Capture, samples, shift_of};
 use glam::{DAffine3, DVec3};
 use io::{Frame, Image, Map, Scene, View};
 use limpid_tests::{noise, quick_devices, tensor, values, wall};
@@ -316,16 +316,18 @@ fn soften(image: &mut Image) {
     }
 }
 
-/// Frames that are not where their poses say have paths to be there on average, though nothing is blurred.
+/// Frames that are not where their poses say are not so on average over their paths either: the scene would go with them. (Paths
+/// may stay where nothing is blurred, as long as a frame's is a way round where it belongs.)
 #[test]
-fn a_scene_that_drifts_has_no_paths_for_it() {
+fn a_scene_that_drifts_is_not_moved_by_paths() {
     const LONG: usize = 16;
     let wave = |i: usize| (2.0 * std::f64::consts::PI * (i as f64 + 0.5) / LONG as f64).cos();
     let drift: Vec<f64> = (0..LONG).map(|i| 0.8 * wave(i)).collect();
     for (name, device) in quick_devices() {
         for (shake, moves) in [(0.0, false), (0.12, true)] {
             let scene = filmed(&drift, [shake, 0.0], 0.0, &device);
-            let settings = settings(3000, BlurKind::Camera);
+            let mut settings = settings(3000, BlurKind::Camera);
+            settings.seed = 4;
             let (trainer, said) = behind_trial(2, scene, settings, &device);
             // Where paths have not come far by the first trial, it leaves it to the second whether they pay.
             let [open, settled] = &said[..] else {
@@ -333,15 +335,29 @@ fn a_scene_that_drifts_has_no_paths_for_it() {
             };
             let is_open = open.contains(" until it is asked again");
             assert_eq!(is_open, !moves, "{name}, {shake}: {open}");
-            let blur = if moves {
-                ": motion blur is modelled, and no defocus"
-            } else {
-                ": no blur is modelled"
-            };
-            assert!(settled.contains(blur), "{name}, {shake}: {settled}");
-            let figures = camera_figures(&trainer);
-            let moving = figures.frames.iter().any(|frame| frame.blur_px > 0.0);
-            assert_eq!(moving, moves, "{name}, {shake}: {figures:?}");
+            let blur = ": motion blur is modelled, and no defocus";
+            assert!(
+                !moves || settled.contains(blur),
+                "{name}, {shake}: {settled}"
+            );
+            let share = share_of(&drift, &trainer);
+            // With the seeds 1 to 4 from -0.14 to 0.22; 1.38 with this one where the poses, which swing as slowly, were believed.
+            assert!(share.abs() < 0.3, "{name}, {shake}: {share} of the drift");
         }
     }
+}
+
+/// How much of a drift (px to the right) the means of the paths have, by least squares.
+fn share_of(drift: &[f64], trainer: &Trainer) -> f64 {
+    let parameters = trainer.model().parameters();
+    let paths = parameters
+        .into_iter()
+        .find(|(p, _)| p.name == "camera.paths");
+    let paths = paths.expect("paths").1.detach();
+    let mut capture = Capture::still(drift.len(), 2, (&paths.device(), paths.dtype()));
+    capture.paths = paths;
+    let taken = capture.all_taken();
+    let means = taken.iter().map(|t| 60.0 * shift_of(t.mean_motion())[0]);
+    let along: f64 = means.zip(drift).map(|(mean, drift)| mean * drift).sum();
+    along / drift.iter().map(|drift| drift * drift).sum::<f64>()
 }

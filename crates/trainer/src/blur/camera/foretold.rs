@@ -12,6 +12,10 @@ const LEAST_SQUARE: f64 = 1e-18;
 /// proportion to that below. (RESULTS.md, "Believed by how much they explain", has what was seen.)
 const EXPLAINS: f64 = 0.5;
 
+/// Where the scene could show all but such a share of what is foretold (of its square), nothing is foretold: the rest would be told
+/// by noise, times a hundred. (RESULTS.md, "Believed by how much they explain", has what was seen.)
+const LEAST_OWN: f64 = 0.01;
+
 /// The frames' accelerations, by the poses before and after: turns (rad) and translations (scene sizes) per frame².
 #[derive(Clone, Debug)]
 pub(super) struct Accelerations {
@@ -72,9 +76,14 @@ impl Accelerations {
             a.filter(|_| *told).map(shift_of).unwrap_or_default()
         };
         let shifts: Vec<_> = frames.map(shift).collect();
-        let own = own_of(&told, &shared, &shifts);
+        let mut own = own_of(&told, &shared, &shifts);
+        let mut own_square = product(&own, &own);
+        if own_square < LEAST_OWN * product(&shifts, &shifts) {
+            own.fill([0.0; 2]);
+            own_square = 0.0;
+        }
         Foretold {
-            own_square: product(&own, &own).max(LEAST_SQUARE),
+            own_square: own_square.max(LEAST_SQUARE),
             own,
             shifts,
             told,
@@ -265,6 +274,15 @@ mod tests {
             Accelerations::of(&still[..2], 2.0).known(&[true; 2]),
             [true; 2]
         );
+        // Nor where the scene could show all of it but for what turns add up to.
+        let evenly = views(|t| {
+            (
+                2e-4 * t * t * DVec3::new(1.0, -0.5, 0.0),
+                DVec3::X * 0.1 * t,
+            )
+        });
+        assert!(product(&foretold(&evenly).shifts, &any()).abs() > 1e-6);
+        assert_eq!(missed(&foretold(&evenly), &any()), any());
         // Nor where they go against it.
         let foretold = foretold(&views(shaking));
         let against = sum(&[[0.0; 2]; 9], -0.1, &foretold.shifts);
