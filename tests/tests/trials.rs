@@ -335,11 +335,13 @@ fn a_scene_that_drifts_is_not_moved_by_paths() {
             };
             let is_open = open.contains(" until it is asked again");
             assert_eq!(is_open, !moves, "{name}, {shake}: {open}");
-            let blur = ": motion blur is modelled, and no defocus";
-            assert!(
-                !moves || settled.contains(blur),
-                "{name}, {shake}: {settled}"
-            );
+            if moves {
+                let blur = ": motion blur is modelled, and no defocus";
+                assert!(settled.contains(blur), "{name}, {shake}: {settled}");
+                let figures = camera_figures(&trainer);
+                let moving = figures.frames.iter().any(|frame| frame.blur_px > 0.0);
+                assert!(moving, "{name}, {shake}: {figures:?}");
+            }
             let share = share_of(&drift, &trainer);
             // With the seeds 1 to 4 from -0.14 to 0.22; 1.38 with this one where the poses, which swing as slowly, were believed.
             assert!(share.abs() < 0.3, "{name}, {shake}: {share} of the drift");

@@ -48,7 +48,7 @@ const TABLE: &str = "camera.explained";
 pub struct CameraBlur {
     capture: Capture,
     /// What it says of every frame, as it was last read; `None` where it may have changed since.
-    taken: Option<Vec<Taken>>,
+    known: Option<Vec<Taken>>,
     gauge: Gauge,
     settings: CameraSettings,
     moments: Moments,
@@ -101,7 +101,7 @@ impl CameraBlur {
         }
         let mut model = Self {
             capture,
-            taken: None,
+            known: None,
             gauge: Gauge::of(&views.train, survey.scene_size),
             settings: camera.clone(),
             moments: Moments::new(n, focal.len()),
@@ -309,7 +309,7 @@ impl CameraBlur {
         }
         let held = Tensor::<2>::from_data(held, (&device, dtype)).inner();
         self.capture.paths = leaf(held, true);
-        self.taken = Some(taken);
+        self.known = Some(taken);
     }
 
     /// What a checkpoint keeps of it beside its parameters.
@@ -339,7 +339,7 @@ impl CameraBlur {
 
     /// Those that are trained.
     pub(super) fn parameters_mut(&mut self) -> Vec<(Parameter, &mut Tensor<2>)> {
-        self.taken = None;
+        self.known = None;
         let Capture {
             paths,
             focus,

@@ -14,7 +14,7 @@ impl CameraBlur {
     /// What the camera does in a frame, and how it is rendered at iteration `it`.
     pub(super) fn view(&self, frame: usize, it: usize) -> TakenView {
         let focal = self.focal[frame];
-        let known = self.taken.as_ref().map(|taken| taken[frame].clone());
+        let known = self.known.as_ref().map(|taken| taken[frame].clone());
         let taken = known.unwrap_or_else(|| self.capture.taken(frame));
         let blur_px = taken.path_px(focal);
         let disc_px = self
