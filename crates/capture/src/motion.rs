@@ -2,7 +2,7 @@
 
 use burn::tensor::{Tensor, TensorData};
 
-/// Numbers of a rigid motion: a rotation vector (rad) and a translation (scene sizes), in the camera's axes.
+/// Numbers of a rigid motion: a turn (about rad, see [`moved`]) and a translation (scene sizes), in the camera's axes.
 pub const RIGID: usize = 6;
 
 /// A pose [3, 4] behind rigid motions [n, 6], in the camera's axes: turns and translations in units of `size`. Returns

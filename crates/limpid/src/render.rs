@@ -37,37 +37,68 @@ pub(crate) struct RenderArguments {
     /// With --at: radius of the lens in scene units.
     #[arg(long, value_name = "RADIUS", requires = "at", default_value_t = 0.0)]
     aperture: f64,
-    /// With --at: depth that is in focus, in scene units [default: the scene's size].
+    /// With --aperture: depth that is in focus, in scene units [default: the scene's size].
     #[arg(long, value_name = "DEPTH", requires = "at")]
     focus: Option<f64>,
-    /// With --at: renders that a blurred picture is averaged from.
-    #[arg(long, value_name = "N", requires = "at", default_value_t = 64)]
-    samples: usize,
+    /// With --shutter or --aperture: renders that a picture is averaged from [default: 64].
+    #[arg(long, value_name = "N", requires = "at")]
+    samples: Option<usize>,
     #[command(flatten)]
     clip: ClipArguments,
 }
 
+impl RenderArguments {
+    /// An error for a flag that changes nothing of the pictures.
+    fn check(&self) -> Result<(), Failure> {
+        self.clip.check()?;
+        let (has_lens, is_blurred) = (
+            self.aperture != 0.0,
+            self.shutter != 0.0 || self.aperture != 0.0,
+        );
+        for (flag, is_given, (has_effect, what)) in [
+            ("--focus", self.focus.is_some(), (has_lens, "--aperture")),
+            (
+                "--samples",
+                self.samples.is_some(),
+                (is_blurred, "--shutter and --aperture"),
+            ),
+        ] {
+            if is_given && !has_effect {
+                return Err(format!(
+                    "{flag} is for {what}, and changes nothing of what is asked for; leave it out"
+                )
+                .into());
+            }
+        }
+        Ok(())
+    }
+
+    /// The pictures at moments of the user's own, in a scene of such a size.
+    fn shots(&self, scene_size: f64) -> Vec<Shot> {
+        let shot = |&time: &f32| Shot {
+            time,
+            shutter: self.shutter,
+            aperture: self.aperture,
+            focus: self.focus.unwrap_or(scene_size),
+            samples: self.samples.unwrap_or(64),
+        };
+        self.at.iter().map(shot).collect()
+    }
+}
+
 pub(crate) fn run(arguments: &RenderArguments) -> Result<ExitCode, Failure> {
-    arguments.clip.check()?;
+    arguments.check()?;
     let config = Config::of_run(&arguments.run)?.on(arguments.backend);
     let run = checkpoints::open(&arguments.run, &config)?;
-    arguments
-        .at
-        .iter()
-        .try_for_each(|time| within(&run, "--at", *time))?;
+    let shots = arguments.shots(run.survey().scene_size);
+    for shot in &shots {
+        within(&run, "--at", shot.time)?;
+        shot.check()?;
+    }
     let out = claimed(arguments.out.as_deref(), &arguments.run, "renders")?;
-    for &time in &arguments.at {
-        let shot = Shot {
-            time,
-            shutter: arguments.shutter,
-            aperture: arguments.aperture,
-            focus: arguments.focus.unwrap_or(run.survey().scene_size),
-            samples: arguments.samples,
-        };
-        io::write_png(
-            &out.join(format!("at_{time}.png")),
-            &run.render_shot(&shot)?,
-        )?;
+    for shot in &shots {
+        let picture = out.join(format!("at_{}.png", shot.time));
+        io::write_png(&picture, &run.render_shot(shot)?)?;
     }
     if let Some(path) = &arguments.clip.path {
         clip::render(&run, path, &arguments.clip, &out)?;

@@ -1,6 +1,7 @@
 //! The scene as another exposure would have it: sharp slow motion out of a blurry video, or more blur on purpose.
 
 use crate::TrainError;
+use crate::guarded::guarded;
 use crate::run::{Run, to_image};
 use crate::views::pose_tensor;
 use burn::tensor::{DType, Tensor, TensorData};
@@ -25,7 +26,11 @@ pub struct Shot {
 }
 
 impl Shot {
-    fn check(&self) -> Result<(), TrainError> {
+    /// Whether a picture can be taken like that.
+    ///
+    /// # Errors
+    /// A number is not finite or out of range; which, and what is expected.
+    pub fn check(&self) -> Result<(), TrainError> {
         let Self {
             time,
             shutter,
@@ -57,9 +62,13 @@ impl Run {
     /// The picture that the video's own camera would have taken, from where it was at the shot's moments.
     ///
     /// # Errors
-    /// The shot is out of range; the renderer refuses its input.
+    /// The shot is out of range; the renderer refuses its input; the device fails.
     pub fn render_shot(&self, shot: &Shot) -> Result<Image, TrainError> {
         shot.check()?;
+        guarded(&self.device, || self.take(shot))
+    }
+
+    fn take(&self, shot: &Shot) -> Result<Image, TrainError> {
         let trajectory = self.trajectory();
         let view = self.view_on(&trajectory, shot.time);
         if shot.shutter == 0.0 && shot.aperture == 0.0 {

@@ -66,7 +66,15 @@ fn wait_for(file: &Path) -> Outcome {
 fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() -> Outcome {
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("run");
-    let (mut first, lines) = start(&out, &[])?;
+    let all_of_the_camera = [
+        "--set",
+        "camera.path=always",
+        "--set",
+        "camera.lens=always",
+        "--set",
+        "frames.offsets=true",
+    ];
+    let (mut first, lines) = start(&out, &all_of_the_camera)?;
     // As with `limpid train 2>&1 | head`: what is said from now on, nobody reads.
     drop(lines);
     wait_for(&out.join("config.json"))?;
@@ -80,7 +88,29 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
         "{said:?}"
     );
     assert!(first.wait()?.success(), "nobody read what it said");
-    assert!(out.join("metrics.json").exists());
+    // What the camera did is a result.
+    let metrics: serde_json::Value = io::read_json(&out.join("metrics.json"))?;
+    let is_some = |value: &serde_json::Value| value.as_f64().is_some_and(|number| number > 0.0);
+    assert!(
+        is_some(&metrics["shutter"]) && is_some(&metrics["aperture"]),
+        "{metrics}"
+    );
+    for (list, fields) in [
+        (
+            "frames",
+            &["blur_px", "disc_px", "focus", "samples", "psnr"][..],
+        ),
+        ("corrections", &["offset_px"]),
+    ] {
+        let frames = metrics[list].as_array().ok_or(list)?;
+        assert_eq!(frames.len(), 16, "{metrics}");
+        for field in fields {
+            // A frame may be sharp.
+            let are_numbers = frames.iter().all(|frame| frame[field].is_number());
+            let is_told = are_numbers && frames.iter().any(|frame| is_some(&frame[field]));
+            assert!(is_told, "{list}, {field}: {metrics}");
+        }
+    }
 
     // Going on with a finished run scores it again, and takes away what a killed one had not finished.
     let leftovers = [
@@ -181,6 +211,22 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
     ] {
         let blurred = fine_contrast(more)?;
         assert!(blurred < 0.9 * sharp, "{more:?}: {blurred} of {sharp}");
+    }
+
+    // What is wrong or idle is refused before a folder is made.
+    let nowhere = folder.path().join("nowhere");
+    for (more, why) in [
+        (&["--shutter=-1"][..], "shutter"),
+        (&["--aperture", "inf"], "aperture"),
+        (&["--aperture", "0.1", "--focus", "0"], "focus"),
+        (&["--shutter", "1", "--samples", "0"], "1 to 1024"),
+        (&["--focus", "2"], "--focus is for --aperture"),
+        (&["--samples", "8"], "--samples is for --shutter"),
+    ] {
+        let shot = ["render", path(&out), "--at", "1", "--out", path(&nowhere)];
+        let said = refusal(&[&shot, more].concat())?;
+        assert!(said.contains(why), "{more:?}: {said}");
+        assert!(!nowhere.exists(), "{more:?}");
     }
 
     // The report is written again with the pictures, but for where it would lose its blurry frames or they go elsewhere.
