@@ -12,9 +12,10 @@ pub use property::{property, uniform};
 pub use trainer::with_causes;
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write as _;
 use std::sync::{Mutex, PoisonError};
+use trainer::{Gpu, NoGpu};
 
 /// Every backend that is compiled in, by the name `--backend` gives it.
 ///
@@ -38,20 +39,18 @@ pub fn devices() -> Vec<(&'static str, Device)> {
         ("ndarray", ndarray()),
     ];
     devices.retain(|(name, _)| is_wanted(name));
-    #[cfg(feature = "wgpu")]
-    if is_wanted("wgpu") {
-        match gpu() {
-            Ok(gpu) => devices.push(("wgpu", gpu.device.clone())),
+    let mut has_no_adapter = false;
+    for runtime in RUNTIMES.iter().filter(|runtime| is_wanted(runtime)) {
+        match gpu(runtime) {
+            Ok(gpu) => devices.push((runtime, gpu.device)),
             Err(why) => {
-                skipped_once(&format!("wgpu: {why}"));
-                if devices.is_empty() {
-                    return devices;
-                }
+                skipped_once(&format!("{runtime}: {why}"));
+                has_no_adapter = true;
             }
         }
     }
     assert!(
-        !devices.is_empty(),
+        !devices.is_empty() || has_no_adapter,
         "no backend of LIMPID_BACKENDS={} is compiled in",
         named.unwrap_or_default()
     );
@@ -91,15 +90,8 @@ pub fn quick_devices() -> Vec<(&'static str, Device)> {
 }
 
 /// Whether a backend's device is a GPU that a CPU plays.
-#[cfg(feature = "wgpu")]
 fn is_software(name: &str) -> bool {
-    name == "wgpu" && gpu().is_ok_and(|gpu| gpu.is_software)
-}
-
-/// Whether a backend's device is a GPU that a CPU plays.
-#[cfg(not(feature = "wgpu"))]
-fn is_software(_: &str) -> bool {
-    false
+    RUNTIMES.contains(&name) && gpu(name).is_ok_and(|gpu| gpu.is_software)
 }
 
 /// [`skipped`] of the test that runs, once for each reason.
@@ -130,13 +122,20 @@ fn ndarray() -> Device {
     Device::ndarray()
 }
 
-/// The adapter that `--backend wgpu` takes: a GPU before a CPU that plays one.
-#[cfg(feature = "wgpu")]
-fn gpu() -> Result<&'static trainer::Gpu, &'static trainer::NoGpu> {
-    use std::sync::OnceLock;
-    static FOUND: OnceLock<Result<trainer::Gpu, trainer::NoGpu>> = OnceLock::new();
-    let found = FOUND.get_or_init(|| {
-        let found = trainer::Gpu::best("wgpu");
+/// What reaches GPUs in this build.
+const RUNTIMES: &[&str] = &[
+    #[cfg(feature = "wgpu")]
+    "wgpu",
+    #[cfg(feature = "cuda")]
+    "cuda",
+];
+
+/// The adapter that `--backend` takes for a runtime: a GPU before a CPU that plays one. It is named once.
+fn gpu(runtime: &str) -> Result<Gpu, NoGpu> {
+    static FOUND: Mutex<BTreeMap<String, Result<Gpu, NoGpu>>> = Mutex::new(BTreeMap::new());
+    let mut found = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
+    let look = || {
+        let found = Gpu::best(runtime);
         if let Ok(gpu) = &found {
             let played = if gpu.is_software {
                 ", played by the CPU"
@@ -147,8 +146,9 @@ fn gpu() -> Result<&'static trainer::Gpu, &'static trainer::NoGpu> {
             std::io::stderr().write_all(line.as_bytes()).ok();
         }
         found
-    });
-    found.as_ref()
+    };
+    let entry = found.entry(runtime.to_owned());
+    entry.or_insert_with(look).clone()
 }
 
 /// A tensor of these values, rounded to `dtype`.

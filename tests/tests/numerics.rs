@@ -1,6 +1,7 @@
 //! The figures of docs/NUMERICS.md hold, and so does what is promised.
 
-use limpid_tests::numerics::{cases, measure, measures, read_table};
+use limpid_tests::devices;
+use limpid_tests::numerics::{Place, cases, measure, measures, read_table};
 use std::path::Path;
 
 /// Under this an error counts as this much: half a unit in the last place moves with the order of a few additions.
@@ -14,7 +15,7 @@ fn every_case_keeps_the_promise_and_the_table() {
     let mut faults = Vec::new();
     let cases = cases();
     for case in &cases {
-        let row = measure(case);
+        let row = measure(case, &Place::F32);
         let key = (row.op.clone(), row.name.clone());
         let Some(before) = table.get(&key) else {
             faults.push(format!(
@@ -45,6 +46,25 @@ fn every_case_keeps_the_promise_and_the_table() {
         cases.len(),
         "the table has cases that are gone; run `cargo xtask numerics`"
     );
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn every_case_keeps_the_promise_on_every_device() {
+    let mut faults = Vec::new();
+    for (name, device) in devices() {
+        for case in cases() {
+            let row = measure(&case, &Place::Device(device.clone()));
+            for (direction, figures) in [("forward", row.forward), ("backward", row.backward)] {
+                if figures.of_promise > 1.0 {
+                    faults.push(format!(
+                        "{name}, {case:?}, {direction}: {:.2} times what is promised, {:.1e} of the largest",
+                        figures.of_promise, figures.relative
+                    ));
+                }
+            }
+        }
+    }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 

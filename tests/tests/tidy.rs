@@ -231,23 +231,25 @@ fn burn_is_pinned_and_its_default_features_are_off() {
 fn no_crate_turns_fusion_or_autotune_on() {
     // Features unite over the whole workspace, so that one careless dependency would do it for all.
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let output = Command::new(cargo)
-        .args(["tree", "--workspace", "--offline", "--edges", "features"])
-        .args(["--prefix", "none"])
-        .current_dir(root())
-        .output()
-        .expect("cargo runs");
-    assert!(
-        output.status.success(),
-        "cargo tree: {}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    let tree = String::from_utf8_lossy(&output.stdout);
-    assert!(tree.contains("burn v0.22.1"), "the tree has no burn");
-    for line in tree.lines() {
-        let family = line.starts_with("burn") || line.starts_with("cubecl");
-        for feature in ["feature \"fusion\"", "feature \"autotune\""] {
-            assert!(!(family && line.contains(feature)), "turned on: {line}");
+    for (backends, crate_of_its) in [("", "burn-flex v"), ("limpid/wgpu", "burn-wgpu v")] {
+        let output = Command::new(&cargo)
+            .args(["tree", "--workspace", "--offline", "--edges", "features"])
+            .args(["--prefix", "none", "--features", backends])
+            .current_dir(root())
+            .output()
+            .expect("cargo runs");
+        assert!(
+            output.status.success(),
+            "cargo tree: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        let tree = String::from_utf8_lossy(&output.stdout);
+        assert!(tree.contains(crate_of_its), "no {crate_of_its} in the tree");
+        for line in tree.lines() {
+            let family = line.starts_with("burn") || line.starts_with("cubecl");
+            for feature in ["feature \"fusion\"", "feature \"autotune\""] {
+                assert!(!(family && line.contains(feature)), "turned on: {line}");
+            }
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The trainer's kernels on every device in f32, against f64 in main memory.
 
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::{DType, Device, Tensor, TensorData};
 use host::{all_zero, count_not_finite, first_not_finite};
 use limpid_tests::{assert_close, devices, map_like, noise, rounded, tensor, unit_noise, values};
 use trainer::adam::{AdamState, AdamStep, LearningRate, Steps, adam_step};
@@ -195,6 +195,40 @@ fn adam() {
             );
             assert_eq!(found, run(&device, DType::F32), "{name}: twice");
         }
+    }
+}
+
+/// More numbers than 65,535 groups of 128 units take, of which WebGPU launches no more in a dimension.
+#[test]
+fn adam_and_faults_of_more_numbers_than_a_dimension_has_groups_for() {
+    let rows: usize = 65_535 * 128 + 12_345;
+    let gradient: Vec<f32> = (0..rows)
+        .map(|row| if row % 3 == 0 { 2.0 } else { -0.5 })
+        .collect();
+    for (name, device) in devices() {
+        let of = |values: &[f32]| {
+            Tensor::<2>::from_data(TensorData::new(values.to_vec(), [rows, 1]), &device)
+        };
+        let mut parameter = Tensor::zeros([rows, 1], (&device, DType::F32));
+        let mut state = AdamState::new(&parameter);
+        let step = AdamStep {
+            rate: &LearningRate::Uniform(0.25),
+            drawn: &[],
+        };
+        adam_step(&mut parameter, of(&gradient), &mut state, &step);
+        // The first step is as long as the rate, against the gradient.
+        let found = parameter.clone().into_data();
+        for (row, (found, gradient)) in found.iter::<f32>().zip(&gradient).enumerate() {
+            let wanted = -0.25 * gradient.signum();
+            assert!((found - wanted).abs() < 1e-5, "{name}, {row}: {found}");
+        }
+        let mut broken = gradient.clone();
+        broken[rows - 1] = f32::NAN;
+        let broken = of(&broken);
+        assert!(all_zero(vec![count_not_finite(&parameter)]), "{name}");
+        assert!(!all_zero(vec![count_not_finite(&broken)]), "{name}");
+        let (at, _) = first_not_finite(&broken).expect("the last");
+        assert_eq!(at, rows - 1, "{name}");
     }
 }
 

@@ -160,21 +160,32 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
     entries.map(|entry| entry.path()).collect()
 }
 
-/// Where Debian's chromium keeps SwiftShader, a GPU that the CPU plays, with a Vulkan loader beside it.
-const SWIFTSHADER: &str = "/usr/lib/chromium";
+/// The file that tells Vulkan of SwiftShader, a GPU that the CPU plays.
+const SWIFTSHADER: &str = "vk_swiftshader_icd.json";
+
+/// The folder with SwiftShader, and a Vulkan loader beside it: where `.ci/run` unpacks it, or where Debian's chromium keeps it.
+fn software_gpu() -> Option<PathBuf> {
+    let build = env::var_os("CARGO_TARGET_DIR").map(PathBuf::from);
+    let build = build.or_else(|| Some(env::home_dir()?.join(".cache/limpid-target")));
+    let unpacked = build.map(|build| build.join("swiftshader"));
+    let mut folders = unpacked.into_iter().chain(["/usr/lib/chromium".into()]);
+    folders.find(|folder| folder.join(SWIFTSHADER).exists())
+}
 
 /// Lets Vulkan find SwiftShader where it is installed, behind the drivers of real GPUs, unless the user names drivers.
 fn offer_software_gpu(command: &mut Command) {
-    let driver = Path::new(SWIFTSHADER).join("vk_swiftshader_icd.json");
     let named = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_ADD_DRIVER_FILES"];
-    if named.iter().any(|name| env::var_os(name).is_some()) || !driver.exists() {
+    if named.iter().any(|name| env::var_os(name).is_some()) {
         return;
     }
-    command.env("VK_ADD_DRIVER_FILES", driver);
+    let Some(folder) = software_gpu() else {
+        return;
+    };
+    command.env("VK_ADD_DRIVER_FILES", folder.join(SWIFTSHADER));
     let mut folders: Vec<PathBuf> = env::var_os("LD_LIBRARY_PATH")
         .map(|folders| env::split_paths(&folders).collect())
         .unwrap_or_default();
-    folders.push(SWIFTSHADER.into());
+    folders.push(folder);
     if let Ok(folders) = env::join_paths(folders) {
         command.env("LD_LIBRARY_PATH", folders);
     }

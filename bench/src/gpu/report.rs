@@ -317,7 +317,11 @@ impl Report {
             }
         }
         if !self.goals.is_empty() {
-            write!(out, "\n| goal | found | reached |\n|---|---|---|\n")?;
+            write!(
+                out,
+                "\nOf a training its iterations alone, without its start, trials and density control:\n\n\
+                 | goal | found | reached |\n|---|---|---|\n"
+            )?;
         }
         for Goal {
             what,

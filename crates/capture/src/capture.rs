@@ -10,8 +10,8 @@ use crate::taken::Taken;
 /// What a camera did while it took N frames: the tensors that can be trained, all of rank 2.
 ///
 /// With s the moment from -1/2 to 1/2 and (u, v) the point of the lens, a frame sees the world from
-/// Shear(u, v) Exp(p₁ s + … + p_D s^D) P, where P is its pose and p its path: the sharp picture is that of the middle of
-/// the exposure, s = 0, u = v = 0, from P.
+/// Shear(u, v) M(p₁ s + … + p_D s^D) P, where P is its pose, p its path and M what [`moved`] makes of six numbers: the sharp
+/// picture is that of the middle of the exposure, s = 0, u = v = 0, from P.
 ///
 /// The shear is x += a u (d z - S) and the same for y, with the aperture a, the focus d and the scene's size S: a point
 /// at the depth S / d stays where the lens' middle sees it, and one at depth z moves by f a u (d - S / z) px.

@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 /// Offsets and gains of all training frames. Their means over the frames are zero: what all have in common is the scene's.
 #[derive(Clone, Debug, Default)]
 pub struct Corrections {
-    /// Offsets from the given poses, [N, 6], in the camera's axes: rotation vectors (rad) and translations (S); `None` where
-    /// the given poses hold.
+    /// Offsets from the given poses, [N, 6], in the camera's axes: turns (about rad, see `capture::moved`) and translations (S);
+    /// `None` where the given poses hold.
     offsets: Option<Tensor<2>>,
     /// The matrix [2 N, 2 N] that takes the frames' shifts to what they have in common: that is the scene's.
     shared: Option<Tensor<2>>,

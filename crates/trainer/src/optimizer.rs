@@ -136,7 +136,7 @@ fn rate_at_pace(plan: &Plan, group: Group, columns: usize, it: usize, pace: f64)
     })
 }
 
-/// A rate for rotation vectors, and a fifth of it for the translations (in units of S) beside them: in a narrow view the two
+/// A rate for turns, and a fifth of it for the translations (in units of S) beside them: in a narrow view the two
 /// are nearly the same thing, and run off against each other at equal rates.
 fn rigid(rate: f64, columns: usize) -> LearningRate {
     let rates = [rate, rate, rate, 0.2 * rate, 0.2 * rate, 0.2 * rate];

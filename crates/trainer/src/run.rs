@@ -3,6 +3,7 @@
 use crate::TrainError;
 use crate::blur::ViewBlur;
 use crate::changes::{Change, changes};
+use crate::guarded::guarded;
 use crate::look::Look;
 use crate::model::Model;
 use crate::plan::Plan;
@@ -127,7 +128,7 @@ impl Run {
     /// The scene as a camera sees it at a time (training frames, may be fractional), sharp.
     ///
     /// # Errors
-    /// The renderer refuses its input.
+    /// The renderer refuses its input; the device fails.
     pub fn render_view(
         &self,
         camera: &Camera,
@@ -146,53 +147,59 @@ impl Run {
     /// The same, with depth and the movers' share.
     ///
     /// # Errors
-    /// The renderer refuses its input.
+    /// The renderer refuses its input; the device fails.
     pub fn render_layers(&self, viewpoint: &CameraView) -> Result<Layers, TrainError> {
-        let model = self.state.model.detached();
-        let shown = model.show(&self.look(viewpoint, self.iteration()), None)?;
-        let rendered = &shown.rendered;
-        let color = to_image(rendered.color());
-        let map = |values: Vec<f32>| Map {
-            width: color.width,
-            height: color.height,
-            values,
-        };
-        let seen = host(rendered.alpha());
-        let depth = host(rendered.depth()).into_iter().zip(seen);
-        let depth = depth.map(|(depth, seen)| if seen > SEEN { depth / seen } else { 0.0 });
-        Ok(Layers {
-            depth: map(depth.collect()),
-            movers: rendered.features().map(|movers| map(host(movers))),
-            color,
+        guarded(&self.device, || {
+            let model = self.state.model.detached();
+            let shown = model.show(&self.look(viewpoint, self.iteration()), None)?;
+            let rendered = &shown.rendered;
+            let color = to_image(rendered.color());
+            let map = |values: Vec<f32>| Map {
+                width: color.width,
+                height: color.height,
+                values,
+            };
+            let seen = host(rendered.alpha());
+            let depth = host(rendered.depth()).into_iter().zip(seen);
+            let depth = depth.map(|(depth, seen)| if seen > SEEN { depth / seen } else { 0.0 });
+            Ok(Layers {
+                depth: map(depth.collect()),
+                movers: rendered.features().map(|movers| map(host(movers))),
+                color,
+            })
         })
     }
 
     /// The same from a viewpoint of [`Self::views`].
     pub(crate) fn render_viewpoint(&self, viewpoint: &CameraView) -> Result<Image, TrainError> {
-        let model = self.state.model.detached();
-        let look = self.look(viewpoint, self.iteration());
-        let shown = model.show(&look, None)?;
-        Ok(to_image(shown.rendered.color()))
+        guarded(&self.device, || {
+            let model = self.state.model.detached();
+            let look = self.look(viewpoint, self.iteration());
+            let shown = model.show(&look, None)?;
+            Ok(to_image(shown.rendered.color()))
+        })
     }
 
     /// A training view, sharp and as the model says that the camera saw it.
     ///
     /// # Errors
-    /// The renderer refuses its input.
+    /// The renderer refuses its input; the device fails.
     ///
     /// # Panics
     /// Panics if there is no such frame.
     pub fn render_training_view(&self, frame: usize) -> Result<TrainingView, TrainError> {
-        let model = self.state.model.detached();
-        let look = Look {
-            frame: Some(frame),
-            ..self.look(&self.plan.views.train[frame], self.iteration())
-        };
-        let shown = model.show(&look, None)?;
-        Ok(TrainingView {
-            sharp: to_image(shown.rendered.color()),
-            seen: to_image(shown.seen),
-            blur: shown.trace.map(ViewBlur::from),
+        guarded(&self.device, || {
+            let model = self.state.model.detached();
+            let look = Look {
+                frame: Some(frame),
+                ..self.look(&self.plan.views.train[frame], self.iteration())
+            };
+            let shown = model.show(&look, None)?;
+            Ok(TrainingView {
+                sharp: to_image(shown.rendered.color()),
+                seen: to_image(shown.seen),
+                blur: shown.trace.map(ViewBlur::from),
+            })
         })
     }
 

@@ -3,6 +3,7 @@
 use crate::TrainError;
 use crate::checksum;
 use crate::error::{CheckpointProblem, with_causes};
+use crate::guarded::guarded;
 use crate::run::Run;
 use burn::tensor::Device;
 use std::fs;
@@ -21,14 +22,16 @@ impl Run {
     /// every moment [`Self::open`] finds one that is whole.
     ///
     /// # Errors
-    /// The file cannot be written; those that were there before are unharmed then.
+    /// The file cannot be written, or the device fails; what was there before is unharmed then.
     pub fn save(&self, folder: &Path) -> Result<(), TrainError> {
         let path = folder.join(FILE_NAME);
         let is_whole = fs::read(&path).is_ok_and(|bytes| checksum::holds(&bytes));
         let kept = is_whole.then(|| folder.join(PREVIOUS_NAME));
-        let bytes = self.to_bytes().map_err(|problem| TrainError::Checkpoint {
-            path: path.clone(),
-            problem,
+        let bytes = guarded(&self.device, || {
+            self.to_bytes().map_err(|problem| TrainError::Checkpoint {
+                path: path.clone(),
+                problem,
+            })
         })?;
         let written = io::write_atomic_keeping(&path, kept.as_deref(), |f| f.write_all(&bytes));
         Ok(written?)
@@ -38,8 +41,13 @@ impl Run {
     /// is damaged or missing, the one before it is taken, and [`Self::setback`] says so.
     ///
     /// # Errors
-    /// There is none, or none can be used: they cannot be read, are not whole, or are of another version.
+    /// There is none, or none can be used: they cannot be read, are not whole, or are of another version; the device
+    /// fails.
     pub fn open(folder: &Path, device: &Device) -> Result<Self, TrainError> {
+        guarded(device, || Self::open_last(folder, device))
+    }
+
+    fn open_last(folder: &Path, device: &Device) -> Result<Self, TrainError> {
         let [last, before] = [FILE_NAME, PREVIOUS_NAME].map(|name| folder.join(name));
         let problem = match read(&last, device) {
             Ok(run) => return Ok(run),

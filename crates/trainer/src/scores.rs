@@ -3,6 +3,7 @@
 use crate::TrainError;
 use crate::blur::{BlurFigures, FigureSums};
 use crate::corrections::FrameCorrection;
+use crate::guarded::guarded;
 use crate::metrics::{masked_psnr, psnr, ssim};
 use crate::placement::dilate;
 use crate::run::Run;
@@ -110,8 +111,17 @@ impl Run {
     /// pictures' colours are mapped to the training camera's first.
     ///
     /// # Errors
-    /// The scene is not the one that was trained on, the renderer refuses its input, or files of the truth cannot be read.
+    /// The scene is not the one that was trained on, the renderer refuses its input, or files of the truth cannot be read; the
+    /// device fails.
     pub fn evaluate(
+        &self,
+        scene: &Scene,
+        colors: Option<&ColorMap>,
+    ) -> Result<Evaluation, TrainError> {
+        guarded(&self.device, || self.score_views(scene, colors))
+    }
+
+    fn score_views(
         &self,
         scene: &Scene,
         colors: Option<&ColorMap>,

@@ -7,6 +7,7 @@ use crate::corrections::Corrections;
 use crate::coverage::fill;
 use crate::dynamics::start_dynamics;
 use crate::error::{CheckpointProblem, OtherScene, SceneProblem};
+use crate::guarded::guarded;
 use crate::held::learned;
 use crate::inputs::Inputs;
 use crate::lifting::liftable;
@@ -97,9 +98,14 @@ impl Trainer {
     /// `device` names the backend, with or without autodiff.
     ///
     /// # Errors
-    /// Settings out of range, a scene without frames or without anything to place Gaussians on, or movers that cannot be lifted.
-    pub fn new(mut scene: Scene, settings: Settings, device: &Device) -> Result<Self, TrainError> {
+    /// Settings out of range, a scene without frames or without anything to place Gaussians on, or movers that cannot be lifted;
+    /// the device fails.
+    pub fn new(scene: Scene, settings: Settings, device: &Device) -> Result<Self, TrainError> {
         settings.validate()?;
+        guarded(device, || Self::begin(scene, settings, device))
+    }
+
+    fn begin(mut scene: Scene, settings: Settings, device: &Device) -> Result<Self, TrainError> {
         if scene.frames.is_empty() {
             return Err(SceneProblem::NoFrames.into());
         }
@@ -203,8 +209,12 @@ impl Trainer {
     /// Goes on with a run on the scene that it was trained on.
     ///
     /// # Errors
-    /// The scene is another, or was read in another way.
-    pub fn resume(mut run: Run, mut scene: Scene) -> Result<Self, TrainError> {
+    /// The scene is another, or was read in another way; the device fails.
+    pub fn resume(run: Run, scene: Scene) -> Result<Self, TrainError> {
+        guarded(&run.device.clone(), || Self::go_on(run, scene))
+    }
+
+    fn go_on(mut run: Run, mut scene: Scene) -> Result<Self, TrainError> {
         run.check_scene(&scene)?;
         run.plan.inputs.check(&scene)?;
         // The survey is made again for what it does to the scene's depth, and must agree.
@@ -249,7 +259,8 @@ impl Trainer {
     /// Starts from these Gaussians, all of them static, in place of those that were placed.
     ///
     /// # Errors
-    /// There is none, training has begun, their arrays do not fit each other, or their SH degree is not that of the settings.
+    /// There is none, training has begun, their arrays do not fit each other, or their SH degree is not that of the settings;
+    /// the device fails.
     pub fn start_from(&mut self, gaussians: &Gaussians) -> Result<(), TrainError> {
         gaussians.check()?;
         let degree = self.run.plan.settings.gaussians.sh_degree;
@@ -262,6 +273,14 @@ impl Trainer {
                 iteration,
             });
         }
+        let device = self.run.device.clone();
+        guarded(&device, || {
+            self.replace(gaussians);
+            Ok(())
+        })
+    }
+
+    fn replace(&mut self, gaussians: &Gaussians) {
         let n = gaussians.len();
         let Run {
             plan,
@@ -289,7 +308,6 @@ impl Trainer {
         plan.survey.movers = false;
         let unseen = !self.data.unseen.is_empty();
         plan.schedule = schedule_of(&plan.settings, &plan.views, &state.model, unseen);
-        Ok(())
     }
 
     /// The run as it is now.

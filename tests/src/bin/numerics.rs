@@ -1,11 +1,14 @@
 //! Writes docs/NUMERICS.md: `cargo xtask numerics`.
 
-use limpid_tests::numerics::{cases, measure, measures, report};
+use limpid_tests::numerics::{Place, cases, measure, measures, report};
 use std::path::Path;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let rows: Vec<_> = cases().iter().map(measure).collect();
+    let rows: Vec<_> = cases()
+        .iter()
+        .map(|case| measure(case, &Place::F32))
+        .collect();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
     let path = root
         .expect("tests/ lies in the root")

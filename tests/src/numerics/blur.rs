@@ -1,9 +1,9 @@
 //! The blur model at its extremes.
 
-use super::case::{Case, Results, dtype, scaled};
-use crate::{noise, tensor, unit_noise, values};
+use super::case::{Case, Results, scaled, weigh};
+use crate::{tensor, unit_noise, values};
 use bpnet::{BlurField, BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, composite};
-use burn::tensor::{DType, Device, Tensor, activation::softmax};
+use burn::tensor::{DType, activation::softmax};
 
 /// The per-pixel blur: image, kernel logits and intensity to what the camera saw.
 fn blur_case(
@@ -14,9 +14,8 @@ fn blur_case(
     intensity: Vec<f64>,
 ) -> Case {
     let inputs = vec![image, logits, intensity];
-    Case::new("blur", name, inputs, move |inputs, precision| {
-        let device = Device::flex().autodiff();
-        let dtype = dtype(precision);
+    Case::new("blur", name, inputs, move |inputs, place| {
+        let (device, dtype) = place.options();
         let image = tensor(&inputs[0], [height, width, 3], &device, dtype).require_grad();
         let logits = tensor(&inputs[1], [height, width, k * k], &device, dtype).require_grad();
         let intensity = tensor(&inputs[2], [height, width], &device, dtype).require_grad();
@@ -25,7 +24,7 @@ fn blur_case(
         let blurred = composite(image.clone(), &field)
             .expect("shapes that fit")
             .picture();
-        let grads = weigh(blurred.clone()).backward();
+        let grads = weigh(blurred.clone(), 21).backward();
         Results {
             forward: vec![("picture", values(blurred))],
             backward: vec![
@@ -35,14 +34,6 @@ fn blur_case(
             ],
         }
     })
-}
-
-/// A sum with fixed random weights that f32 holds.
-pub(super) fn weigh<const D: usize>(x: Tensor<D>) -> Tensor<1> {
-    let shape = x.dims();
-    let weights = noise(shape.iter().product(), 21);
-    let rounded: Vec<f64> = weights.iter().map(|v| f64::from(*v as f32)).collect();
-    (x.clone() * tensor(&rounded, shape, &x.device(), x.dtype())).sum()
 }
 
 /// BP-Net as a whole: its inputs to kernels and intensities, and gradients of some of its parameters.
@@ -57,9 +48,8 @@ fn net_case(name: &str, scale: f64, color: Vec<f64>, disparity: Vec<f64>, mask: 
         seed: 3,
     };
     let inputs = vec![color, disparity, mask];
-    Case::new("BP-Net", name, inputs, move |inputs, precision| {
-        let device = Device::flex().autodiff();
-        let dtype = dtype(precision);
+    Case::new("BP-Net", name, inputs, move |inputs, place| {
+        let (device, dtype) = place.options();
         let mut net = BpNet::new(&config, &device, DType::F32).expect("a valid configuration");
         for (name, parameter) in net.parameters_mut() {
             let factor = if name.starts_with("head.") {
@@ -81,7 +71,7 @@ fn net_case(name: &str, scale: f64, color: Vec<f64>, disparity: Vec<f64>, mask: 
         let field = net
             .forward(1, &inputs, Extractor::Trained)
             .expect("shapes that fit");
-        let loss = weigh(field.kernel()) + weigh(field.intensity());
+        let loss = weigh(field.kernel(), 21) + weigh(field.intensity(), 21);
         let grads = loss.backward();
         Results {
             forward: vec![

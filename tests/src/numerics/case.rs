@@ -1,18 +1,32 @@
 //! One input of one op, and what f32 costs there.
 
-use crate::noise;
-use burn::tensor::DType;
+use crate::{noise, tensor};
+use burn::tensor::{DType, Device, Tensor};
 
 /// Named arrays.
 pub type Arrays = Vec<(&'static str, Vec<f64>)>;
 
-/// In which float type an op runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Precision {
-    /// What training uses.
+/// Where an op runs, and in which float type.
+#[derive(Clone, Debug)]
+pub enum Place {
+    /// On the CPU, in the type that training uses.
     F32,
-    /// The reference.
+    /// On the CPU: the reference.
     F64,
+    /// On a device, in f32.
+    Device(Device),
+}
+
+impl Place {
+    /// What tensors that have gradients are made with.
+    pub(super) fn options(&self) -> (Device, DType) {
+        let (device, dtype) = match self {
+            Self::F32 => (Device::flex(), DType::F32),
+            Self::F64 => (Device::flex(), DType::F64),
+            Self::Device(device) => (device.clone(), DType::F32),
+        };
+        (device.autodiff(), dtype)
+    }
 }
 
 /// What an op gives, and the gradients of its inputs for a fixed, random gradient of its outputs.
@@ -25,7 +39,7 @@ pub struct Results {
 }
 
 /// How a case runs on given inputs.
-pub(super) type Run = Box<dyn Fn(&[Vec<f64>], Precision) -> Results>;
+pub(super) type Run = Box<dyn Fn(&[Vec<f64>], &Place) -> Results>;
 
 /// One input of one op.
 pub struct Case {
@@ -49,7 +63,7 @@ impl Case {
         op: &'static str,
         name: impl Into<String>,
         inputs: Vec<Vec<f64>>,
-        run: impl Fn(&[Vec<f64>], Precision) -> Results + 'static,
+        run: impl Fn(&[Vec<f64>], &Place) -> Results + 'static,
     ) -> Self {
         let rounded = |v: f64| f64::from(v as f32);
         Self {
@@ -88,16 +102,16 @@ pub struct Row {
     pub backward: Figures,
 }
 
-/// Runs a case in both precisions.
+/// Runs a case in f32 there, and in f64.
 ///
 /// # Panics
 /// Panics if a result is not finite.
 #[must_use]
-pub fn measure(case: &Case) -> Row {
-    let f32_results = (case.run)(&case.inputs, Precision::F32);
-    let exact = (case.run)(&case.inputs, Precision::F64);
+pub fn measure(case: &Case, place: &Place) -> Row {
+    let f32_results = (case.run)(&case.inputs, place);
+    let exact = (case.run)(&case.inputs, &Place::F64);
     let moved: Vec<Results> = (0..4)
-        .map(|draw| (case.run)(&moved_by_one_ulp(&case.inputs, draw), Precision::F64))
+        .map(|draw| (case.run)(&moved_by_one_ulp(&case.inputs, draw), &Place::F64))
         .collect();
     let figures = |of: fn(&Results) -> &Arrays| {
         let mut figures = Figures::default();
@@ -147,11 +161,12 @@ fn moved_by_one_ulp(inputs: &[Vec<f64>], draw: u64) -> Vec<Vec<f64>> {
         .collect()
 }
 
-pub(super) fn dtype(precision: Precision) -> DType {
-    match precision {
-        Precision::F32 => DType::F32,
-        Precision::F64 => DType::F64,
-    }
+/// A sum with fixed random weights that f32 holds.
+pub(super) fn weigh<const D: usize>(x: Tensor<D>, seed: u64) -> Tensor<1> {
+    let shape = x.dims();
+    let weights = noise(shape.iter().product(), seed);
+    let rounded: Vec<f64> = weights.iter().map(|v| f64::from(*v as f32)).collect();
+    (x.clone() * tensor(&rounded, shape, &x.device(), x.dtype())).sum()
 }
 
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {

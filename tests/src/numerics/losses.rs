@@ -1,8 +1,8 @@
 //! The trainer's losses, and Adam, at their extremes.
 
-use super::case::{Case, Results, dtype, scaled};
+use super::case::{Case, Results, scaled};
 use crate::{map_like, noise, tensor, unit_noise, values};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Tensor;
 use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 use trainer::losses::{depth_loss, mask_loss, photometric};
 
@@ -14,9 +14,9 @@ fn loss_case(
     input: Vec<f64>,
     loss: impl Fn(Tensor<2>) -> Tensor<1> + 'static,
 ) -> Case {
-    Case::new(op, name, vec![input], move |inputs, precision| {
-        let device = Device::flex().autodiff();
-        let input = tensor(&inputs[0], shape, &device, dtype(precision)).require_grad();
+    Case::new(op, name, vec![input], move |inputs, place| {
+        let (device, dtype) = place.options();
+        let input = tensor(&inputs[0], shape, &device, dtype).require_grad();
         let loss = loss(input.clone());
         let grads = loss.backward();
         let gradient = input
@@ -56,9 +56,9 @@ fn mask_case(name: &str, target: Vec<f32>) -> Case {
 /// Five steps of Adam on one row.
 fn adam_case(name: &str, gradient: f64) -> Case {
     let inputs = vec![noise(4, 31), scaled(4, 32, gradient, 0.0)];
-    Case::new("Adam", name, inputs, |inputs, precision| {
-        let dtype = dtype(precision);
-        let row = |v: &[f64]| tensor::<2>(v, [1, 4], &Device::flex(), dtype);
+    Case::new("Adam", name, inputs, |inputs, place| {
+        let (device, dtype) = place.options();
+        let row = |v: &[f64]| tensor::<2>(v, [1, 4], &device.clone().inner(), dtype);
         let mut parameter = row(&inputs[0]);
         let mut state = AdamState::new(&parameter);
         let rate = &LearningRate::Uniform(0.01);

@@ -11,9 +11,10 @@ mod losses;
 mod motion;
 mod report;
 mod splat;
+mod splat_tensors;
 mod stability;
 
-pub use case::{Arrays, Case, Figures, Precision, Results, Row, measure};
+pub use case::{Arrays, Case, Figures, Place, Results, Row, measure};
 pub use report::{read_table, report};
 pub use stability::{Measure, measures};
 

@@ -1,8 +1,8 @@
 //! The motion bases at their extremes.
 
-use super::case::{Case, Results, dtype, scaled};
+use super::case::{Case, Results, weigh};
 use crate::{noise, tensor, values};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Tensor;
 use motion_bases::MotionBases;
 
 /// Gaussians.
@@ -39,9 +39,8 @@ fn case(name: &str, input: Input) -> Case {
         ..
     } = input;
     let inputs = vec![input.rots, input.transls, input.coefficients, input.means];
-    Case::new("motion", name, inputs, move |inputs, precision| {
-        let device = Device::flex().autodiff();
-        let dtype = dtype(precision);
+    Case::new("motion", name, inputs, move |inputs, place| {
+        let (device, dtype) = place.options();
         let shapes = [
             [bases, frames * 6],
             [bases, frames * 3],
@@ -60,12 +59,6 @@ fn case(name: &str, input: Input) -> Case {
         };
         let (moved, rotations) = model.moved_at(&t[2], &t[3], &[time]);
         let (moved, rotations) = (moved.reshape([ROWS, 3]), rotations.reshape([ROWS, 9]));
-        let weigh = |x: Tensor<2>, seed| {
-            let [rows, columns] = x.dims();
-            let weights = scaled(rows * columns, seed, 1.0, 0.0);
-            let rounded: Vec<f64> = weights.iter().map(|v| f64::from(*v as f32)).collect();
-            (x.clone() * tensor(&rounded, [rows, columns], &x.device(), dtype)).sum()
-        };
         let grads = (weigh(rotations.clone(), 15) + weigh(moved.clone(), 16)).backward();
         let names = ["rots", "transls", "coefficients", "means"];
         Results {

@@ -1,12 +1,16 @@
 //! The splatting ops at their extremes: renders, and exposures of the same Gaussians.
 
-use super::case::{Case, Precision, Results, scaled};
+use super::case::{Case, Place, Results, scaled};
+use super::splat_tensors;
 use crate::noise;
 use splat_core::Camera;
 use splat_core::cpu::{
     BackwardOptions, Exposure, Float, Forward, SplatSlices, Transfer, View, backward, expose,
     expose_backward, project, rasterize,
 };
+
+/// Seed of the gradient that goes back.
+pub(super) const WEIGHTS: u64 = 8;
 
 /// Inputs of a render.
 #[derive(Clone)]
@@ -74,7 +78,7 @@ fn render<T: Float>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
     };
     let projection = project(&splats, &view).expect("finite input");
     let raster = rasterize(&projection, &arrays[6], 1).expect("finite features");
-    let weights: Vec<T> = scaled(raster.output.len(), 8, 1.0, 0.0)
+    let weights: Vec<T> = noise(raster.output.len(), WEIGHTS)
         .into_iter()
         .map(|v| T::from_f64(f64::from(v as f32)))
         .collect();
@@ -122,15 +126,16 @@ fn case(name: &str, input: Input) -> Case {
         "splatting",
         name,
         inputs,
-        move |inputs, precision| match precision {
-            Precision::F32 => render::<f32>(inputs, &camera),
-            Precision::F64 => render::<f64>(inputs, &camera),
+        move |inputs, place| match place {
+            Place::F32 => render::<f32>(inputs, &camera),
+            Place::F64 => render::<f64>(inputs, &camera),
+            Place::Device(_) => splat_tensors::render(inputs, &camera, place),
         },
     )
 }
 
 /// Samples of an exposure.
-const SAMPLES: usize = 3;
+pub(super) const SAMPLES: usize = 3;
 
 fn exposed<T: Float>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
     let cast = |k: usize| -> Vec<T> { inputs[k].iter().map(|v| T::from_f64(*v)).collect() };
@@ -156,7 +161,7 @@ fn exposed<T: Float>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
         transfer: Transfer::Srgb,
     };
     let picture = expose(&exposure).expect("finite input");
-    let weights: Vec<T> = scaled(picture.color.len(), 8, 1.0, 0.0)
+    let weights: Vec<T> = noise(picture.color.len(), WEIGHTS)
         .into_iter()
         .map(|v| T::from_f64(f64::from(v as f32)))
         .collect();
@@ -202,15 +207,11 @@ fn exposed_case(name: &str, input: Input) -> Case {
         moving_means.collect(),
         input.left_rotations.repeat(SAMPLES),
     ];
-    Case::new(
-        "exposing",
-        name,
-        inputs,
-        move |inputs, precision| match precision {
-            Precision::F32 => exposed::<f32>(inputs, &camera),
-            Precision::F64 => exposed::<f64>(inputs, &camera),
-        },
-    )
+    Case::new("exposing", name, inputs, move |inputs, place| match place {
+        Place::F32 => exposed::<f32>(inputs, &camera),
+        Place::F64 => exposed::<f64>(inputs, &camera),
+        Place::Device(_) => splat_tensors::expose(inputs, &camera, place),
+    })
 }
 
 pub(super) fn cases() -> Vec<Case> {
@@ -383,11 +384,11 @@ mod tests {
             let (cx, cy) = (uniform(u, -50.0, 50.0)?, 0.5 * height as f64);
             i.camera = Camera::pinhole([width, height], [focal, 30.0], [cx, cy]).with_near(NEAR);
             for case in [case("mixture", i.clone()), exposed_case("mixture", i)] {
-                for precision in [Precision::F32, Precision::F64] {
-                    let results = (case.run)(&case.inputs, precision);
+                for place in [Place::F32, Place::F64] {
+                    let results = (case.run)(&case.inputs, &place);
                     for (name, values) in results.forward.iter().chain(&results.backward) {
                         let at = values.iter().position(|v| !v.is_finite());
-                        assert!(at.is_none(), "{case:?}, {precision:?}: {name} at {at:?}");
+                        assert!(at.is_none(), "{case:?}, {place:?}: {name} at {at:?}");
                     }
                 }
             }

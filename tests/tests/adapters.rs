@@ -1,0 +1,90 @@
+//! A device with no more than WebGPU promises, and one that is lost on the way.
+
+#![cfg(feature = "wgpu")]
+
+use burn::tensor::Device;
+use burn::tensor::wgpu::{WgpuSetup, wgpu};
+use limpid_tests::devices;
+use limpid_tests::tiny::{scene, settings};
+use std::future::Future;
+use std::path::Path;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
+use trainer::settings::BlurKind;
+use trainer::{TrainError, Trainer};
+
+/// What is ready at once, as everything that wgpu gives is outside of a browser.
+fn now<T>(future: impl Future<Output = T>) -> T {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(value) => value,
+        Poll::Pending => panic!("wgpu keeps one waiting"),
+    }
+}
+
+/// A device of the first adapter with WebGPU's default limits (8 storage buffers a kernel, 16 KiB that units share, 128 MiB a
+/// binding), without any feature; and wgpu's hold on it.
+fn smallest() -> (Device, wgpu::Device) {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let adapter = now(instance.request_adapter(&wgpu::RequestAdapterOptions::default()));
+    let adapter = adapter.expect("an adapter, since `devices` has one");
+    let limits = wgpu::Limits::default();
+    let (device, queue) = now(adapter.request_device(&wgpu::DeviceDescriptor {
+        required_limits: limits,
+        ..wgpu::DeviceDescriptor::default()
+    }))
+    .expect("what WebGPU promises");
+    let setup = WgpuSetup {
+        backend: adapter.get_info().backend,
+        instance,
+        adapter,
+        device: device.clone(),
+        queue,
+    };
+    let burns = Device::wgpu_options().setup(setup).init();
+    (burns.expect("a device"), device)
+}
+
+/// A checkpoint of the CPU's from where blur is modelled.
+fn checkpoint(folder: &Path) {
+    let mut settings = settings();
+    settings.blur.model = BlurKind::Both;
+    let mut trainer = Trainer::new(scene(), settings, &Device::flex()).expect("a trainer");
+    for _ in 0..52 {
+        trainer.step().expect("a step");
+    }
+    trainer.save(folder).expect("a checkpoint");
+}
+
+#[test]
+fn what_webgpu_promises_is_enough_and_a_lost_device_is_an_error() {
+    if devices().iter().all(|(name, _)| *name != "wgpu") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    checkpoint(folder.path());
+    let (device, handle) = smallest();
+    let mut trainer = Trainer::load(folder.path(), scene(), &device).expect("a checkpoint");
+    for _ in 0..3 {
+        trainer.step().expect("a step");
+    }
+    trainer.evaluate().expect("scores");
+
+    handle.destroy();
+    let saved = std::fs::read(folder.path().join("state.safetensors")).expect("a file");
+    for error in [
+        trainer.step().err(),
+        trainer.evaluate().err(),
+        trainer.save(folder.path()).err(),
+        Trainer::load(folder.path(), scene(), &device).err(),
+    ] {
+        let Some(TrainError::Device { reason }) = error else {
+            panic!("the device is lost: {error:?}");
+        };
+        assert!(!reason.contains('\n'), "{reason}");
+    }
+    let kept = std::fs::read(folder.path().join("state.safetensors")).expect("a file");
+    assert!(saved == kept, "the checkpoint is as it was");
+    let resumed = Trainer::load(folder.path(), scene(), &Device::flex());
+    let report = resumed.expect("a checkpoint knows no backend").step();
+    assert_eq!(report.expect("a step").iteration, 53);
+}
