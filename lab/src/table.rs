@@ -66,9 +66,10 @@ fn write_all(out: &mut String, report: &Report, plot: Option<&str>) -> std::fmt:
 /// Commit, date and machine.
 fn origin(of: &Origin) -> String {
     let commit = match &of.commit {
-        Some(commit) if of.changed => format!("commit `{commit}` with changes on top"),
-        Some(commit) => format!("commit `{commit}`"),
-        None => "no commit known".to_owned(),
+        Some(commit) if of.changed => format!(", commit `{commit}` with changes on top"),
+        Some(commit) => format!(", commit `{commit}`"),
+        // Its version may name one.
+        None => String::new(),
     };
     let dates = match &of.dates {
         Some((first, last)) if first == last => format!(", {first}"),
@@ -84,7 +85,7 @@ fn origin(of: &Origin) -> String {
         0 => String::new(),
         _ => format!(", on {}", machines.join("; ")),
     };
-    format!("{}, {commit}{dates}{machines}", of.version)
+    format!("{}{commit}{dates}{machines}", of.version)
 }
 
 /// The same of all programs that made runs.

@@ -63,31 +63,73 @@ impl Lengths {
             .ok_or("no pixels are held back: frames.held_back is 0")?;
         let mut said =
             format!("{iterations} iterations: {psnr:.2} dB of pixels that are held back");
-        if let Some(before) = self.before.take() {
-            let gained = psnr - before.psnr;
+        let before = self.before.take();
+        let gained = before.as_ref().map(|before| psnr - before.psnr);
+        if let Some(gained) = gained {
             said += &format!(", {gained:+.2} dB by twice the length");
-            if gained < 0.0 {
+        }
+        match (decision(iterations, self.most, gained), before) {
+            (Decision::Back, Some(before)) => {
                 trainer.go_back(before.run);
                 trainer.count_seconds(seconds - trainer.run().seconds());
                 said += &format!(": back to {}", trainer.iteration());
-                return Ok((said, Next::Before(before.log)));
+                Ok((said, Next::Before(before.log)))
             }
-            if gained < GAIN {
-                return Ok((said + ": done", Next::Done));
+            (Decision::Longer(next), _) => {
+                let run = trainer.keep();
+                self.before = Some(Ended { run, psnr, log });
+                trainer.begin_again(&self.start, next)?;
+                // What was trained before took its time too.
+                trainer.count_seconds(seconds);
+                said += &format!(": {next} iterations, from the beginning");
+                Ok((said, Next::Longer))
             }
+            _ => Ok((said + ": done", Next::Done)),
         }
-        let next = (2 * iterations).min(self.most);
-        if next <= iterations {
-            return Ok((said + ": done", Next::Done));
+    }
+}
+
+/// What follows on a run that has ended.
+#[derive(Debug, PartialEq)]
+enum Decision {
+    /// It stays.
+    Done,
+    /// The one before was better.
+    Back,
+    /// One of so many iterations.
+    Longer(usize),
+}
+
+/// What follows on a run of so many iterations, of `most`, by what it gained on the one before, if there is one, dB.
+fn decision(iterations: usize, most: usize, gained: Option<f64>) -> Decision {
+    let next = (2 * iterations).min(most);
+    match gained {
+        Some(gained) if gained < 0.0 => Decision::Back,
+        Some(gained) if gained < GAIN => Decision::Done,
+        _ if next > iterations => Decision::Longer(next),
+        _ => Decision::Done,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Decision, GAIN, decision};
+
+    #[test]
+    fn a_run_becomes_longer_until_it_gains_hardly_anything_and_none_that_loses_stays() {
+        assert_eq!(decision(750, 3000, None), Decision::Longer(1500));
+        assert_eq!(decision(750, 1000, None), Decision::Longer(1000));
+        assert_eq!(decision(1500, 3000, Some(GAIN)), Decision::Longer(3000));
+        assert_eq!(decision(1500, 3000, Some(0.9 * GAIN)), Decision::Done);
+        assert_eq!(decision(1500, 3000, Some(0.0)), Decision::Done);
+        assert_eq!(decision(1500, 3000, Some(-0.01)), Decision::Back);
+        // At the limit as well: what is longest is not what is best.
+        for (gained, expected) in [
+            (None, Decision::Done),
+            (Some(1.0), Decision::Done),
+            (Some(-1.0), Decision::Back),
+        ] {
+            assert_eq!(decision(3000, 3000, gained), expected);
         }
-        let run = trainer.keep();
-        self.before = Some(Ended { run, psnr, log });
-        trainer.begin_again(&self.start, next)?;
-        // What was trained before took its time too.
-        trainer.count_seconds(seconds);
-        Ok((
-            format!("{said}: {next} iterations, from the beginning"),
-            Next::Longer,
-        ))
     }
 }
