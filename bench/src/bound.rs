@@ -110,9 +110,74 @@ impl Card {
     }
 }
 
+/// From least to most, ms.
+#[must_use]
+pub fn range([from, to]: [f64; 2]) -> String {
+    let (from, to) = (format!("{from:.1}"), format!("{to:.1}"));
+    if from == to {
+        from
+    } else {
+        format!("{from} to {to}")
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::floor::{Counts, stages, work};
+    use crate::workload::{Blur, Workload};
+
+    /// Cells of the rows of a Markdown table that begins with this line.
+    fn rows(text: &str, header: &str) -> Vec<Vec<String>> {
+        let lines = text.lines().skip_while(|line| !line.starts_with(header));
+        let table = lines.skip(2).take_while(|line| line.starts_with('|'));
+        let cells = |line: &str| -> Vec<String> {
+            let cells = line.trim_matches('|').split('|');
+            cells.map(|cell| cell.trim().to_owned()).collect()
+        };
+        table.map(cells).collect()
+    }
+
+    /// What docs/PERFORMANCE.md computes, from the launches and waits that it has counted.
+    #[test]
+    fn the_least_times_that_are_told_follow_from_what_was_counted() {
+        let text = include_str!("../../docs/PERFORMANCE.md");
+        let counted = rows(text, "| | launches | waits |");
+        let told = rows(text, "| ms | | no blur model |");
+        assert_eq!((counted.len(), told.len()), (3, 8), "tables of the docs");
+        let number = |cell: &str| -> usize { cell.replace(',', "").parse().expect("a number") };
+        let blurs = [Blur::Off, Blur::Trained, Blur::Camera];
+        for (column, (blur, row)) in blurs.into_iter().zip(&counted).enumerate() {
+            let workload = Workload {
+                width: 512,
+                height: 288,
+                gaussians: 100_000,
+                blur,
+                kernel_size: 9,
+            };
+            let counts = Counts::new(&workload);
+            let stages = stages(blur).into_iter();
+            let works: Vec<Work> = stages
+                .filter_map(|stage| work(stage, &workload, &counts))
+                .collect();
+            let megabytes = works.iter().map(|w| w.bytes).sum::<f64>() * 1e-6;
+            let operations = works.iter().map(|w| w.operations).sum::<f64>() * 1e-9;
+            assert_eq!(number(&row[3]), megabytes.round() as usize, "{row:?}");
+            assert_eq!(row[4], format!("{operations:.1}"), "{row:?}");
+            // Of each card its work, and then what each runtime adds up to.
+            let (mut expected, mut last) = (Vec::new(), "");
+            for card in &CARDS {
+                let bound = card.bound(&works, number(&row[1]), number(&row[2]));
+                if card.name != last {
+                    expected.push(format!("{:.2}", bound.work_ms));
+                    last = card.name;
+                }
+                expected.push(range(bound.total_ms));
+            }
+            let told: Vec<&str> = told.iter().map(|line| &*line[2 + column]).collect();
+            assert_eq!(told, expected, "{row:?}");
+        }
+    }
 
     #[test]
     fn a_card_is_known_by_its_adapter_and_its_runtime() {

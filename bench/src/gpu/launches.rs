@@ -7,7 +7,7 @@ use trainer::{Gpu, TrainError};
 
 use super::adapter::Adapter;
 use super::counted::{Counted, count};
-use crate::bound::{Bound, CARDS, WAIT_US};
+use crate::bound::{Bound, CARDS, WAIT_US, range};
 use crate::floor::{Counts, Work, stages, work};
 use crate::spans::Stages;
 use crate::workload::{Blur, Workload};
@@ -159,15 +159,5 @@ impl Launches {
             }
         }
         Ok(out)
-    }
-}
-
-/// From least to most, ms.
-pub(super) fn range([from, to]: [f64; 2]) -> String {
-    let (from, to) = (format!("{from:.1}"), format!("{to:.1}"));
-    if from == to {
-        from
-    } else {
-        format!("{from} to {to}")
     }
 }
