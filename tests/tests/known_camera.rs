@@ -31,7 +31,8 @@ fn movers_tell_which_way_paths_run() {
         let Some(ViewBlur::Camera(taken)) = view.blur else {
             panic!("no camera");
         };
-        let wall = taken.spots.last().expect("a spot far away");
+        let in_the_middle = taken.spots.iter().rfind(|spot| spot.right_px == 0.0);
+        let wall = in_the_middle.expect("a spot far away");
         let known = streak(frame, SHAKE, wall.depth);
         if known.length() < CLEAR {
             continue;

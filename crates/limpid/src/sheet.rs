@@ -1,5 +1,5 @@
 //! `blur.png`: blurry frame, sharp render, and how it was blurred: an intensity map and the kernels at a few pixels, or
-//! the camera's path and its discs.
+//! the camera's path and its discs at a few pixels and depths.
 
 use io::Image;
 use trainer::{KernelView, TakenView, TrainingView, ViewBlur};
@@ -73,20 +73,23 @@ fn kernel_row(blurry: Option<&Image>, sharp: &Image, view: &KernelView) -> Image
     sheet
 }
 
-/// Blurry frame, sharp render, and what points at a few depths become in the picture, many times enlarged: their discs,
-/// drawn along the camera's path.
+/// Blurry frame, sharp render, and what points become in the picture, many times enlarged: their discs, drawn along the camera's
+/// path. A row for each depth, from near to far; on the left, in the middle and on the right of the picture.
 fn camera_row(blurry: Option<&Image>, sharp: &Image, view: &TakenView) -> Image {
     let (width, height) = (sharp.width, sharp.height);
     let pictures: Vec<&Image> = blurry.into_iter().chain([sharp]).collect();
-    let depths = view.spots.len();
-    let side = height / depths.max(1);
-    let mut sheet = canvas(pictures.len() * (width + GAP) + side, height);
+    let pairs = view.spots.windows(2);
+    let across = 1 + pairs
+        .take_while(|pair| pair[0].right_px < pair[1].right_px)
+        .count();
+    let side = height / (view.spots.len() / across).max(1);
+    let mut sheet = canvas(pictures.len() * (width + GAP) + across * side, height);
     for (i, picture) in pictures.iter().enumerate() {
         paste(&mut sheet, i * (width + GAP), 0, picture);
     }
     let left = pictures.len() * (width + GAP);
     let reach = view.reach_px().max(1.0);
-    for (row, spot) in view.spots.iter().enumerate() {
+    for (at, spot) in view.spots.iter().enumerate() {
         let mut counts = vec![0.0_f32; side * side];
         for place in &spot.places {
             let [x, y] = place.map(|v| (0.5 + 0.45 * v / reach) * side as f64);
@@ -100,8 +103,8 @@ fn camera_row(blurry: Option<&Image>, sharp: &Image, view: &TakenView) -> Image 
             let value = (count / most).sqrt();
             put(
                 &mut sheet,
-                left + i % side,
-                row * side + i / side,
+                left + at % across * side + i % side,
+                at / across * side + i / side,
                 [value; 3],
             );
         }
@@ -139,5 +142,57 @@ fn paste(image: &mut Image, x: usize, y: usize, from: &Image) {
         let at = 3 * ((y + v) * image.width + x);
         image.pixels[at..at + 3 * from.width]
             .copy_from_slice(&from.pixels[3 * v * from.width..3 * (v + 1) * from.width]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trainer::{CameraFrame, Spot};
+
+    #[test]
+    fn spots_stand_by_depth_and_by_place_and_where_their_light_falls() {
+        let (width, height) = (30, 24);
+        // At two depths, one of them twice as near, and three places each: light that falls above or below the middle.
+        let spot = |depth: f64, right_px: f64, y: f64| Spot {
+            depth,
+            right_px,
+            places: vec![[0.0, y]],
+        };
+        let ys = [-2.0, 1.0, 2.0, -1.0, 0.0, 1.0];
+        let view = TakenView {
+            frame: CameraFrame {
+                blur_px: 2.0,
+                focus: 1.0,
+                disc_px: 0.0,
+                samples: 3,
+                psnr: None,
+            },
+            shutter: 0.5,
+            aperture: 0.0,
+            spots: (0..6)
+                .map(|i| spot([1.0, 2.0][i / 3], [-9.0, 0.0, 9.0][i % 3], ys[i]))
+                .collect(),
+        };
+        let sharp = canvas(width, height);
+        let sheet = camera_row(None, &sharp, &view);
+        let side = height / 2;
+        assert_eq!(
+            [sheet.width, sheet.height],
+            [width + GAP + 3 * side, height]
+        );
+        for (i, y) in ys.iter().enumerate() {
+            let (left, top) = (width + GAP + i % 3 * side, i / 3 * side);
+            let lit: Vec<[usize; 2]> = (0..side * side)
+                .map(|k| [k % side, k / side])
+                .filter(|[u, v]| sheet.pixels[3 * ((top + v) * sheet.width + left + u)] == 1.0)
+                .collect();
+            let [[u, v]] = lit[..] else {
+                panic!("spot {i}: {lit:?}");
+            };
+            assert_eq!(u, side / 2, "spot {i}");
+            let expected = (0.5 + 0.45 * y / 2.0) * side as f64;
+            assert_eq!(v, expected as usize, "spot {i}");
+        }
     }
 }

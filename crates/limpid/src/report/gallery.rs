@@ -157,7 +157,8 @@ fn deed(view: &TakenView) -> CameraDeed {
         kept.map(|place| place.map(|v| (v * 1000.0).round() as f32 / 1000.0))
             .collect()
     };
-    let spots = view.spots.iter().map(|spot| SpotPlaces {
+    let in_the_middle = view.spots.iter().filter(|spot| spot.right_px == 0.0);
+    let spots = in_the_middle.map(|spot| SpotPlaces {
         depth: spot.depth,
         places: places(spot),
     });

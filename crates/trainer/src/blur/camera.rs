@@ -149,7 +149,7 @@ impl CameraBlur {
         };
         let mut view = self.view(frame, look.iteration);
         if look.view.is_none() {
-            view = self.with_spots(frame, view);
+            view = self.with_spots(frame, view, viewpoint.camera.width);
         }
         let trace = CameraTrace { view };
         if trace.view.frame.is_sharp() {

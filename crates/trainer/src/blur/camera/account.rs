@@ -7,6 +7,8 @@ use capture::samples;
 
 /// A focus of a smaller disparity, which is as good as infinite, is given as this.
 const LEAST_DISPARITY: f64 = 1e-3;
+/// Where spots are shown, in widths of the picture to the right of the optical axis.
+const SPOTS_AT: [f64; 3] = [-0.4, 0.0, 0.4];
 /// Places of a spot that are drawn.
 const SPOT_SAMPLES: usize = 2000;
 
@@ -36,8 +38,8 @@ impl CameraBlur {
         }
     }
 
-    /// The same with its spots, for pictures.
-    pub(super) fn with_spots(&self, frame: usize, view: TakenView) -> TakenView {
+    /// The same with its spots, for pictures of such a width.
+    pub(super) fn with_spots(&self, frame: usize, view: TakenView, width: usize) -> TakenView {
         let like = &self.capture.paths;
         let options = (&like.device(), like.dtype());
         let identity = [
@@ -50,19 +52,29 @@ impl CameraBlur {
         let size = self.scene_size;
         let poses = host(self.capture.poses(frame, &given, &taken, size).detach());
         let focal = self.focal[frame];
-        let seen = |pose: &[f32], depth: f64| {
-            let at = |i: usize| f64::from(pose[4 * i + 2]) * depth + f64::from(pose[4 * i + 3]);
-            [0, 1].map(|axis| focal * at(axis) / at(2))
+        // The point whose sharp place is so far to the right, as a pose sees it, from there.
+        let seen = |pose: &[f32], depth: f64, right_px: f64| {
+            let point = [right_px / focal * depth, 0.0, depth, 1.0];
+            let row = |i: usize| pose[4 * i..4 * i + 4].iter().zip(point);
+            let at = |i: usize| row(i).map(|(p, x)| f64::from(*p) * x).sum::<f64>();
+            [focal * at(0) / at(2) - right_px, focal * at(1) / at(2)]
         };
-        let spot = |depth: f64| {
-            let places = poses.chunks_exact(12).map(|pose| seen(pose, depth));
+        let spot = |depth: f64, right_px: f64| {
+            let places = poses.chunks_exact(12);
             Spot {
                 depth,
-                places: places.collect(),
+                right_px,
+                places: places.map(|pose| seen(pose, depth, right_px)).collect(),
             }
         };
         let [near, far] = self.depth_range;
-        let spots = [near, size, far].map(spot).to_vec();
-        TakenView { spots, ..view }
+        let across = SPOTS_AT.map(|at| at * width as f64);
+        let spots = [near, size, far]
+            .into_iter()
+            .flat_map(|depth| across.map(|right_px| spot(depth, right_px)));
+        TakenView {
+            spots: spots.collect(),
+            ..view
+        }
     }
 }

@@ -12,7 +12,7 @@ pub struct TakenView {
     pub shutter: f64,
     /// Radius of the lens, scene units.
     pub aperture: f64,
-    /// What points in the middle of the picture become, at a few depths from near to far.
+    /// What points become at a few depths from near to far, and at each on the left, in the middle and on the right.
     pub spots: Vec<Spot>,
 }
 
@@ -21,6 +21,8 @@ pub struct TakenView {
 pub struct Spot {
     /// Its depth, scene units.
     pub depth: f64,
+    /// Where the sharp picture has it, px to the right of the optical axis.
+    pub right_px: f64,
     /// Where its light falls, px from where the sharp picture has it (x, y).
     pub places: Vec<[f64; 2]>,
 }
