@@ -1,16 +1,13 @@
 //! The splatting ops at their extremes: renders, and exposures of the same Gaussians.
 
 use super::case::{Case, Place, Results, scaled};
-use super::splat_tensors;
+use super::splat_tensors::{self, SAMPLES, WEIGHTS};
 use crate::noise;
 use splat_core::Camera;
 use splat_core::cpu::{
     BackwardOptions, Exposure, Float, Forward, SplatSlices, Transfer, View, backward, expose,
     expose_backward, project, rasterize,
 };
-
-/// Seed of the gradient that goes back.
-pub(super) const WEIGHTS: u64 = 8;
 
 /// Inputs of a render.
 #[derive(Clone)]
@@ -133,9 +130,6 @@ fn case(name: &str, input: Input) -> Case {
         },
     )
 }
-
-/// Samples of an exposure.
-pub(super) const SAMPLES: usize = 3;
 
 fn exposed<T: Float>(inputs: &[Vec<f64>], camera: &Camera) -> Results {
     let cast = |k: usize| -> Vec<T> { inputs[k].iter().map(|v| T::from_f64(*v)).collect() };

@@ -1,10 +1,14 @@
 //! The splatting ops as tensors on a device, on the inputs of `splat.rs`, whose other runs call the CPU's kernels.
 
 use super::case::{Place, Results, weigh};
-use super::splat::{SAMPLES, WEIGHTS};
 use crate::{tensor, values};
 use burn::tensor::Tensor;
 use splat_core::{Camera, Exposure, Extra, Movers, Splats, Transfer, Viewpoint};
+
+/// Seed of the gradient that goes back.
+pub(super) const WEIGHTS: u64 = 8;
+/// Samples of an exposure.
+pub(super) const SAMPLES: usize = 3;
 
 /// A tensor with gradients for each of the inputs, as a table of so many columns.
 fn tables(inputs: &[Vec<f64>], columns: &[usize], place: &Place) -> Vec<Tensor<2>> {
