@@ -124,7 +124,7 @@ pub fn range([from, to]: [f64; 2]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::floor::{Counts, stages, work};
+    use crate::floor::work_of;
     use crate::workload::{Blur, Workload};
 
     /// Cells of the rows of a Markdown table that begins with this line.
@@ -155,11 +155,7 @@ mod tests {
                 blur,
                 kernel_size: 9,
             };
-            let counts = Counts::new(&workload);
-            let stages = stages(blur).into_iter();
-            let works: Vec<Work> = stages
-                .filter_map(|stage| work(stage, &workload, &counts))
-                .collect();
+            let works = work_of(&workload);
             let megabytes = works.iter().map(|w| w.bytes).sum::<f64>() * 1e-6;
             let operations = works.iter().map(|w| w.operations).sum::<f64>() * 1e-9;
             assert_eq!(number(&row[3]), megabytes.round() as usize, "{row:?}");

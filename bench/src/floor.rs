@@ -85,6 +85,16 @@ pub fn stages(blur: Blur) -> Vec<&'static str> {
     [&always[..], &more.concat()].concat()
 }
 
+/// What the stages of an iteration move and compute at least.
+#[must_use]
+pub fn work_of(workload: &Workload) -> Vec<Work> {
+    let counts = Counts::new(workload);
+    let names = stages(workload.blur).into_iter();
+    names
+        .filter_map(|stage| work(stage, workload, &counts))
+        .collect()
+}
+
 /// The work of a stage by the name of its span; `None` for what only moves things about.
 #[must_use]
 pub fn work(stage: &str, workload: &Workload, counts: &Counts) -> Option<Work> {

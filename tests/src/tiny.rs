@@ -1,11 +1,13 @@
 //! A tiny scene that needs every part of the method: a textured wall, a patch that moves in front of it, and a camera that moves
 //! during the exposure.
 
+use burn::tensor::Device;
 use glam::{DAffine3, DVec2, DVec3};
 use io::{Frame, Image, Map, QueryTracks, Scene, TrackSample, Tracks, View};
 use splat_core::Camera;
-use trainer::Settings;
+use std::path::Path;
 use trainer::settings::{BlurKind, When};
+use trainer::{Settings, Trainer};
 
 /// Number of training frames.
 pub const FRAMES: usize = 6;
@@ -152,4 +154,19 @@ pub fn settings() -> Settings {
     settings.frames.offsets = true;
     settings.frames.gains = When::Always;
     settings
+}
+
+/// Trains the scene on the CPU for so many iterations with a model of blur, and leaves a checkpoint in a folder.
+///
+/// # Panics
+/// Where it cannot.
+pub fn checkpoint(folder: &Path, model: BlurKind, iterations: usize) -> Trainer {
+    let mut settings = settings();
+    settings.blur.model = model;
+    let mut trainer = Trainer::new(scene(), settings, &Device::flex()).expect("a trainer");
+    for _ in 0..iterations {
+        trainer.step().expect("a step");
+    }
+    trainer.save(folder).expect("a checkpoint");
+    trainer
 }

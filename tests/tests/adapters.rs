@@ -5,9 +5,8 @@
 use burn::tensor::Device;
 use burn::tensor::wgpu::{WgpuSetup, wgpu};
 use limpid_tests::devices;
-use limpid_tests::tiny::{scene, settings};
+use limpid_tests::tiny::{checkpoint, scene};
 use std::future::Future;
-use std::path::Path;
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 use trainer::settings::BlurKind;
@@ -44,24 +43,14 @@ fn smallest() -> (Device, wgpu::Device) {
     (burns.expect("a device"), device)
 }
 
-/// A checkpoint of the CPU's from where blur is modelled.
-fn checkpoint(folder: &Path) {
-    let mut settings = settings();
-    settings.blur.model = BlurKind::Both;
-    let mut trainer = Trainer::new(scene(), settings, &Device::flex()).expect("a trainer");
-    for _ in 0..52 {
-        trainer.step().expect("a step");
-    }
-    trainer.save(folder).expect("a checkpoint");
-}
-
 #[test]
 fn what_webgpu_promises_is_enough_and_a_lost_device_is_an_error() {
     if devices().iter().all(|(name, _)| *name != "wgpu") {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");
-    checkpoint(folder.path());
+    // From where blur is modelled.
+    checkpoint(folder.path(), BlurKind::Both, 52);
     let (device, handle) = smallest();
     let mut trainer = Trainer::load(folder.path(), scene(), &device).expect("a checkpoint");
     for _ in 0..3 {

@@ -3,7 +3,7 @@
 use burn::tensor::Device;
 use glam::DVec2;
 use io::Scene;
-use limpid_tests::tiny::{HEIGHT, WALL, WIDTH, camera, pose, scene, settings};
+use limpid_tests::tiny::{HEIGHT, WALL, WIDTH, camera, checkpoint, pose, scene, settings};
 use limpid_tests::{devices, in_pool, with_causes};
 use splat_core::{Extra, Splats, Viewpoint, render};
 use std::collections::BTreeSet;
@@ -13,11 +13,7 @@ use trainer::{BlurModel, Trainer, survey};
 /// A trainer on a device, behind so many iterations in main memory, which are quicker there than on a GPU that a CPU plays.
 fn behind(iterations: usize, device: &Device) -> Trainer {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut trainer = Trainer::new(scene(), settings(), &Device::flex()).expect("a trainer");
-    for _ in 0..iterations {
-        trainer.step().expect("a step");
-    }
-    trainer.save(folder.path()).expect("saved");
+    checkpoint(folder.path(), settings().blur.model, iterations);
     Trainer::load(folder.path(), scene(), device).expect("loaded")
 }
 

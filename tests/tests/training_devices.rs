@@ -2,18 +2,12 @@
 
 use burn::tensor::Device;
 use limpid_tests::devices;
-use limpid_tests::tiny::{scene, settings};
+use limpid_tests::tiny::{checkpoint, scene};
 use std::path::Path;
 use trainer::settings::BlurKind;
 use trainer::{StepReport, Trainer};
 
 const STEPS: usize = 20;
-
-fn trainer(model: BlurKind) -> Trainer {
-    let mut settings = settings();
-    settings.blur.model = model;
-    Trainer::new(scene(), settings, &Device::flex()).expect("a trainer")
-}
 
 /// The next steps of a checkpoint on a device.
 fn steps(checkpoint: &Path, device: &Device) -> Vec<StepReport> {
@@ -31,15 +25,11 @@ fn twenty_steps_have_the_same_losses_on_every_device() {
         (BlurKind::Camera, 52),
     ] {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut trainer = trainer(model);
-        for _ in 0..begins_behind {
-            trainer.step().expect("a step");
-        }
+        let trainer = checkpoint(folder.path(), model, begins_behind);
         if model != BlurKind::Off {
             let view = trainer.run().render_training_view(0).expect("a picture");
             assert_ne!(view.seen.pixels, view.sharp.pixels, "{model:?} blurs");
         }
-        trainer.save(folder.path()).expect("a checkpoint");
         let expected = steps(folder.path(), &Device::flex());
         for (name, device) in devices() {
             let found = steps(folder.path(), &device);

@@ -8,7 +8,7 @@ use trainer::{Gpu, TrainError};
 use super::adapter::Adapter;
 use super::counted::{Counted, count};
 use crate::bound::{Bound, CARDS, WAIT_US, range};
-use crate::floor::{Counts, Work, stages, work};
+use crate::floor::work_of;
 use crate::spans::Stages;
 use crate::workload::{Blur, Workload};
 
@@ -91,15 +91,6 @@ fn count_iteration(
         operations: work.iter().map(|w| w.operations).sum(),
         bounds,
     })
-}
-
-/// What the stages of an iteration move and compute at least.
-pub(super) fn work_of(workload: &Workload) -> Vec<Work> {
-    let counts = Counts::new(workload);
-    let names = stages(workload.blur).into_iter();
-    names
-        .filter_map(|stage| work(stage, workload, &counts))
-        .collect()
 }
 
 impl Launches {

@@ -9,9 +9,9 @@ use trainer::{Gpu, MemoryUse};
 
 use super::adapter::Adapter;
 use super::counted::{Counted, count};
-use super::launches::work_of;
 use super::parts::{Outcome, Times, time_exposure, time_rasteriser, time_render};
 use crate::bound::{Bound, Card, range};
+use crate::floor::work_of;
 use crate::iteration::time_steps;
 use crate::net::time_net;
 use crate::spans::Stages;

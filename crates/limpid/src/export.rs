@@ -3,7 +3,7 @@
 use crate::checkpoints;
 use crate::claim::claimed;
 use crate::config::{Backend, Config};
-use crate::failure::Failure;
+use crate::failure::{Failure, refuse_idle};
 use crate::moments::{Moments, within};
 use crate::numbered::Numbered;
 use crate::say::{conclude, say};
@@ -85,15 +85,7 @@ impl ExportArguments {
             (to, row),
             (step, row),
         ];
-        for ((flag, is_given), (has_effect, what)) in flags {
-            if is_given && !has_effect {
-                return Err(format!(
-                    "{flag} is for {what}, and changes nothing of what is asked for; leave it out"
-                )
-                .into());
-            }
-        }
-        Ok(())
+        refuse_idle(flags)
     }
 }
 

@@ -4,7 +4,7 @@ use crate::checkpoints;
 use crate::claim::claimed;
 use crate::clip::{self, ClipArguments};
 use crate::config::{Backend, Config};
-use crate::failure::Failure;
+use crate::failure::{Failure, refuse_idle};
 use crate::moments::within;
 use crate::outputs;
 use crate::refresh;
@@ -51,26 +51,15 @@ impl RenderArguments {
     /// An error for a flag that changes nothing of the pictures.
     fn check(&self) -> Result<(), Failure> {
         self.clip.check()?;
-        let (has_lens, is_blurred) = (
-            self.aperture != 0.0,
-            self.shutter != 0.0 || self.aperture != 0.0,
-        );
-        for (flag, is_given, (has_effect, what)) in [
-            ("--focus", self.focus.is_some(), (has_lens, "--aperture")),
+        let has_lens = self.aperture != 0.0;
+        let is_blurred = has_lens || self.shutter != 0.0;
+        refuse_idle([
+            (("--focus", self.focus.is_some()), (has_lens, "--aperture")),
             (
-                "--samples",
-                self.samples.is_some(),
+                ("--samples", self.samples.is_some()),
                 (is_blurred, "--shutter and --aperture"),
             ),
-        ] {
-            if is_given && !has_effect {
-                return Err(format!(
-                    "{flag} is for {what}, and changes nothing of what is asked for; leave it out"
-                )
-                .into());
-            }
-        }
-        Ok(())
+        ])
     }
 
     /// The pictures at moments of the user's own, in a scene of such a size.

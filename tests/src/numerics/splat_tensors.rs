@@ -10,34 +10,59 @@ pub(super) const WEIGHTS: u64 = 8;
 /// Samples of an exposure.
 pub(super) const SAMPLES: usize = 3;
 
-/// A tensor with gradients for each of the inputs, as a table of so many columns.
-fn tables(inputs: &[Vec<f64>], columns: &[usize], place: &Place) -> Vec<Tensor<2>> {
+/// The inputs of a render by name, and how many columns they have as tables.
+const RENDER: [(&str, usize); 8] = [
+    ("means", 3),
+    ("quats", 4),
+    ("left_rotations", 9),
+    ("log_scales", 3),
+    ("opacity_logits", 1),
+    ("sh", 48),
+    ("features", 1),
+    ("pose", 4),
+];
+/// The same of an exposure.
+const EXPOSURE: [(&str, usize); 9] = [
+    ("means", 3),
+    ("quats", 4),
+    ("log_scales", 3),
+    ("opacity_logits", 1),
+    ("sh", 48),
+    ("pose", 4),
+    ("poses", 4),
+    ("moving_means", 3),
+    ("left_rotations", 9),
+];
+
+/// A table with gradients for each of the inputs.
+fn tables(inputs: &[Vec<f64>], of: &[(&str, usize)], place: &Place) -> Vec<Tensor<2>> {
     let (device, dtype) = place.options();
-    let table = |(values, columns): (&Vec<f64>, &usize)| {
+    let table = |(values, (_, columns)): (&Vec<f64>, &(&str, usize))| {
         tensor(values, [values.len() / columns, *columns], &device, dtype).require_grad()
     };
-    inputs.iter().zip(columns).map(table).collect()
+    inputs.iter().zip(of).map(table).collect()
 }
 
-/// A picture's sum with the fixed weights goes back.
+/// A picture's sum with the fixed weights goes back to the tables.
 fn results<const D: usize>(
     forward: Vec<(&'static str, Vec<f64>)>,
     output: Tensor<D>,
-    inputs: Vec<(&'static str, &Tensor<2>)>,
+    of: &[(&'static str, usize)],
+    tables: &[Tensor<2>],
 ) -> Results {
     let gradients = weigh(output, WEIGHTS).backward();
-    let gradient = |(name, tensor): (&'static str, &Tensor<2>)| {
-        let zeros = || vec![0.0; tensor.dims().iter().product()];
-        (name, tensor.grad(&gradients).map_or_else(zeros, values))
+    let gradient = |((name, _), table): (&(&'static str, usize), &Tensor<2>)| {
+        let zeros = || vec![0.0; table.dims().iter().product()];
+        (*name, table.grad(&gradients).map_or_else(zeros, values))
     };
     Results {
         forward,
-        backward: inputs.into_iter().map(gradient).collect(),
+        backward: of.iter().zip(tables).map(gradient).collect(),
     }
 }
 
 pub(super) fn render(inputs: &[Vec<f64>], camera: &Camera, place: &Place) -> Results {
-    let t = tables(inputs, &[3, 4, 9, 3, 1, 48, 1, 4], place);
+    let t = tables(inputs, &RENDER, place);
     let [moving, _] = t[2].dims();
     let splats = Splats {
         means: t[0].clone(),
@@ -63,22 +88,11 @@ pub(super) fn render(inputs: &[Vec<f64>], camera: &Camera, place: &Place) -> Res
         ("depth", values(rendered.depth())),
         ("feature", values(rendered.features().expect("one"))),
     ];
-    let names = [
-        "means",
-        "quats",
-        "left_rotations",
-        "log_scales",
-        "opacity_logits",
-        "sh",
-        "features",
-        "pose",
-    ];
-    let inputs = names.into_iter().zip(&t).collect();
-    results(forward, rendered.output().clone(), inputs)
+    results(forward, rendered.output().clone(), &RENDER, &t)
 }
 
 pub(super) fn expose(inputs: &[Vec<f64>], camera: &Camera, place: &Place) -> Results {
-    let t = tables(inputs, &[3, 4, 3, 1, 48, 4, 4, 3, 9], place);
+    let t = tables(inputs, &EXPOSURE, place);
     let splats = Splats {
         means: t[0].clone(),
         quats: t[1].clone(),
@@ -103,17 +117,5 @@ pub(super) fn expose(inputs: &[Vec<f64>], camera: &Camera, place: &Place) -> Res
     };
     let exposed = splat_core::expose(splats, &view, exposure, None).expect("finite input");
     let forward = vec![("colour", values(exposed.color.clone()))];
-    let names = [
-        "means",
-        "quats",
-        "log_scales",
-        "opacity_logits",
-        "sh",
-        "pose",
-        "poses",
-        "moving_means",
-        "left_rotations",
-    ];
-    let inputs = names.into_iter().zip(&t).collect();
-    results(forward, exposed.color, inputs)
+    results(forward, exposed.color, &EXPOSURE, &t)
 }
