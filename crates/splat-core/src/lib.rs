@@ -48,6 +48,7 @@ mod ops;
 mod render;
 #[cfg(feature = "burn")]
 mod splats;
+mod stages;
 
 pub use camera::{Camera, CameraModel, camera_center, pose_rows};
 /// How pictures stand for light.
@@ -62,3 +63,4 @@ pub use glam;
 pub use render::{Extra, Prepared, Rendered, prepare, rasterize, render};
 #[cfg(feature = "burn")]
 pub use splats::{Splats, Viewpoint};
+pub use stages::{InImage, Stages};

@@ -9,6 +9,7 @@ use burn::backend::{Backend, ExtensionType, backend_extension, tensor::FloatTens
 use crate::camera::Camera;
 use crate::cpu::{Projection, Transfer};
 use crate::error::SplatError;
+use crate::stages::Stages;
 
 /// Gaussians and the camera's pose, in one float type.
 #[derive(Clone, Debug, ExtensionType)]
@@ -162,6 +163,20 @@ impl<B: Backend> PreparedView<B> {
             Self::Host { radii, .. } => radii.clone(),
             #[cfg(feature = "cube")]
             Self::Device { radii, .. } | Self::Blank { radii, .. } => radii.clone(),
+        }
+    }
+
+    /// Every Gaussian in the image, and the tiles' lists. A device is waited for.
+    pub(crate) fn stages(&self) -> Result<Stages, SplatError> {
+        match self {
+            Self::Host { projection, .. } => Ok(match projection {
+                HostProjection::F32(projection) => projection.stages(),
+                HostProjection::F64(projection) => projection.stages(),
+            }),
+            #[cfg(feature = "cube")]
+            Self::Device { tables, .. } => tables.stages(),
+            #[cfg(feature = "cube")]
+            Self::Blank { camera, .. } => Ok(Stages::blank(camera)),
         }
     }
 }

@@ -9,6 +9,7 @@ use crate::cpu::BASE_CHANNELS;
 use crate::error::SplatError;
 use crate::ops::{Blended, PreparedView, Projected, SceneTensors, SplatOps};
 use crate::splats::{Layout, Splats, Viewpoint, check_dtype, check_shape};
+use crate::stages::Stages;
 
 /// What a render may take and give beside the image of the Gaussians.
 #[derive(Clone, Debug, Default)]
@@ -34,6 +35,14 @@ impl Prepared {
     #[must_use]
     pub fn radii(&self) -> Tensor<1> {
         Tensor::from_dispatch(self.view.radii())
+    }
+
+    /// What projection and the tiles' lists came to, read back from where they are.
+    ///
+    /// # Errors
+    /// A GPU that fails, or is lost.
+    pub fn stages(&self) -> Result<Stages, SplatError> {
+        self.view.stages()
     }
 }
 

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::body::{Body, Shapes, column};
 use super::constants::MIN_ALPHA;
+use super::float::Float;
 use super::geometry::{Geometry, Lens, project_some, view_directions};
 use super::packs::{Number, Pack, WIDEST, arrays};
 use super::real::Real;
@@ -15,6 +16,7 @@ use super::splat::{Extent, Splat};
 use super::tiles::{TileLists, pixel_range};
 use super::types::{SplatSlices, View};
 use crate::error::SplatError;
+use crate::stages::{InImage, Stages};
 
 /// Gaussians per piece of parallel work; fixed, so that results do not depend on threads.
 pub(super) const CHUNK: usize = 512;
@@ -71,6 +73,32 @@ impl<T> Projection<T> {
     #[must_use]
     pub fn num_slots(&self) -> usize {
         self.tiles.slots.len()
+    }
+}
+
+impl<T: Float> Projection<T> {
+    /// Every Gaussian in the image, and the tiles' lists.
+    #[must_use]
+    pub fn stages(&self) -> Stages {
+        let mut projected = vec![None; self.count];
+        for splat in &self.splats {
+            let [red, green, blue, depth] = splat.channels.map(T::into);
+            projected[splat.row as usize] = Some(InImage {
+                mean: splat.mean.map(T::into),
+                falloff: [splat.l11, splat.l21, splat.l22].map(T::into),
+                opacity: splat.opacity.into(),
+                depth,
+                color: [red, green, blue],
+            });
+        }
+        let tiles = &self.tiles;
+        let row = |place: &u32| self.splats[*place as usize].row;
+        Stages {
+            projected,
+            tiles: [tiles.across, tiles.down],
+            tile_starts: tiles.tile_starts.iter().map(|s| *s as usize).collect(),
+            listed: tiles.gaussians.iter().map(row).collect(),
+        }
     }
 }
 

@@ -5,9 +5,9 @@ use cubecl::prelude::*;
 /// Numbers of a projected item: mean 2, l11, l21, l22, opacity (0 for one that cannot be seen), depth, colour 3, where alpha
 /// ends (sigma), half the size of its box 2, radius.
 pub(crate) const SPLAT: usize = 14;
-pub(super) const OPACITY: usize = 5;
-pub(super) const DEPTH: usize = 6;
-pub(super) const COLOR: usize = 7;
+pub(crate) const OPACITY: usize = 5;
+pub(crate) const DEPTH: usize = 6;
+pub(crate) const COLOR: usize = 7;
 pub(super) const SIGMA_MAX: usize = 10;
 pub(super) const HALF: usize = 11;
 pub(super) const RADIUS: usize = 13;

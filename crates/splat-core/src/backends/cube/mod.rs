@@ -3,6 +3,7 @@
 mod blend;
 mod prepare;
 mod sort;
+mod stages;
 mod tables;
 mod unblend;
 
