@@ -34,7 +34,7 @@ pub fn checkpoint(scenes: &Path, bytes: &[u8]) -> Result<(), TrainError> {
     let trainer = Trainer::load(scenes, scene, &Device::flex())?;
     let model = trainer.model();
     for time in [None, Some(0.5)] {
-        let gaussians = model.gaussians(time);
+        let gaussians = trainer.run().gaussians(time)?;
         let lengths = [
             gaussians.means.len(),
             gaussians.quats.len(),

@@ -5,7 +5,7 @@ use crate::{noise, tensor, values, wall};
 use burn::tensor::{DType, Device, Tensor};
 use glam::{DAffine3, DQuat, DVec2, DVec3};
 use io::{Frame, Image, Map, QueryTracks, Scene, TrackSample, Tracks, View};
-use splat_core::{Camera, Extra, Splats, Viewpoint, pose_rows, render};
+use splat_core::{Camera, Extra, Rendered, Splats, Viewpoint, pose_rows, render};
 
 /// Number of training frames.
 pub const FRAMES: usize = 14;
@@ -126,30 +126,71 @@ pub fn streak(frame: usize, shake: f64, depth: f64) -> DVec2 {
     at(0.5 * SHUTTER) - at(-0.5 * SHUTTER)
 }
 
+/// The camera of all views.
+fn camera() -> Camera {
+    Camera::pinhole(
+        SIZE,
+        [FOCAL; 2],
+        [0.5 * SIZE[0] as f64, 0.5 * SIZE[1] as f64],
+    )
+}
+
+/// What a camera sees of a scene at a time.
+fn seen(
+    still: &Splats,
+    (bodies, points): (Bodies, &[Point]),
+    cam_from_world: &DAffine3,
+    time: f64,
+    device: &Device,
+) -> Rendered {
+    let view = Viewpoint {
+        camera: camera(),
+        cam_from_world: tensor(&pose_rows(cam_from_world), [3, 4], device, DType::F32),
+        sh_degree: 0,
+    };
+    let world = with_bodies(still, bodies, points, time, device);
+    render(world, &view, Extra::default()).expect("a render")
+}
+
+fn image(color: Tensor<3>) -> Image {
+    Image {
+        width: SIZE[0],
+        height: SIZE[1],
+        pixels: values(color).iter().map(|v| *v as f32).collect(),
+    }
+}
+
+/// Sharp views from so far to the right of each frame, in scene units, to score by.
+#[must_use]
+pub fn views_beside(bodies: Bodies, shake: f64, aside: f64, device: &Device) -> Vec<View> {
+    let (still, points) = (wall::splats(device), bodies.points());
+    let beside = DAffine3::from_translation(-aside * DVec3::X);
+    let view = |frame: usize| {
+        let time = frame as f64;
+        let cam_from_world = beside * pose(frame, 0.0, shake);
+        let shown = seen(&still, (bodies, &points), &cam_from_world, time, device);
+        View {
+            name: format!("{frame:05}"),
+            camera: camera(),
+            cam_from_world,
+            time: time as f32,
+            image: image(shown.color().clamp(0.0, 1.0)),
+        }
+    };
+    (0..FRAMES).map(view).collect()
+}
+
 /// The scene; with a `shake` frames are blurred by a shutter that is open for 0.9 frames, without one they are sharp.
 #[must_use]
 pub fn scene(bodies: Bodies, shake: f64, device: &Device) -> Scene {
     let points = bodies.points();
-    let camera = Camera::pinhole(
-        SIZE,
-        [FOCAL; 2],
-        [0.5 * SIZE[0] as f64, 0.5 * SIZE[1] as f64],
-    );
+    let camera = camera();
     let still = wall::splats(device);
     let frames = (0..FRAMES).map(|frame| {
         let taken = |moment: f64| {
-            let view = Viewpoint {
-                camera: camera.clone(),
-                cam_from_world: tensor(
-                    &pose_rows(&pose(frame, moment, shake)),
-                    [3, 4],
-                    device,
-                    DType::F32,
-                ),
-                sh_degree: 0,
-            };
-            let world = with_bodies(&still, bodies, &points, frame as f64 + moment, device);
-            render(world, &view, Extra::default()).expect("a render")
+            let cam_from_world = pose(frame, moment, shake);
+            let time = frame as f64 + moment;
+            seen(&still, (bodies, &points), &cam_from_world, time, device)
         };
         let middle = taken(0.0);
         let depth = values::<2>(middle.depth() / middle.alpha().clamp_min(0.5));
@@ -177,11 +218,7 @@ pub fn scene(bodies: Bodies, shake: f64, device: &Device) -> Scene {
                 camera: camera.clone(),
                 cam_from_world: pose(frame, 0.0, shake),
                 time: frame as f32,
-                image: Image {
-                    width: SIZE[0],
-                    height: SIZE[1],
-                    pixels: values(color).iter().map(|v| *v as f32).collect(),
-                },
+                image: image(color),
             },
             mask: Some(map(&mut mask.into_iter())),
             depth: Some(map(&mut depth.iter().copied())),

@@ -63,6 +63,9 @@ fn what_webgpu_promises_is_enough_and_a_lost_device_is_an_error() {
     for error in [
         trainer.step().err(),
         trainer.evaluate().err(),
+        trainer.run().gaussians(None).err(),
+        trainer.run().motion_arrays().err(),
+        trainer.run().rigid_parts(30.0, 4).err(),
         trainer.save(folder.path()).err(),
         Trainer::load(folder.path(), scene(), &device).err(),
     ] {

@@ -26,7 +26,7 @@ fn saved(trainer: &Trainer) -> TempDir {
 
 #[test]
 fn a_run_that_started_from_gaussians_goes_on_as_it_would_have() {
-    let gaussians = trainer().model().gaussians(Some(2.0));
+    let gaussians = trainer().run().gaussians(Some(2.0)).expect("rows");
     let mut whole = trainer();
     assert!(whole.schedule().densify_dynamic_at.is_some(), "movers");
     whole.start_from(&gaussians).expect("a start");
@@ -48,7 +48,7 @@ fn a_run_that_started_from_gaussians_goes_on_as_it_would_have() {
 #[test]
 fn gaussians_that_do_not_fit_each_other_are_refused_and_change_nothing() {
     let mut trainer = trainer();
-    let good = trainer.model().gaussians(None);
+    let good = trainer.run().gaussians(None).expect("rows");
     type Damage = fn(&mut Gaussians);
     let ragged: [(&str, Damage); 5] = [
         ("means", |g| g.means.truncate(1)),
@@ -83,7 +83,8 @@ fn a_run_opens_without_the_scene_it_was_trained_on() {
             picture.expect("a picture").pixels
         });
         assert!(here == there, "the render at {time} differs");
-        let [here, there] = [&trainer.model(), &run.model()].map(|m| m.gaussians(Some(time)));
+        let [here, there] =
+            [trainer.run(), &run].map(|run| run.gaussians(Some(time)).expect("rows"));
         assert!(here == there, "the Gaussians at {time} differ");
     }
     let [here, there] = [trainer.run(), &run].map(|run| {

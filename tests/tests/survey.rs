@@ -15,7 +15,7 @@ fn surveyed(bodies: Bodies, shake: f64, device: &burn::tensor::Device) -> Traine
 }
 
 fn num_bases(trainer: &Trainer) -> usize {
-    let motion = trainer.model().world.motion_arrays();
+    let motion = trainer.run().motion_arrays().expect("rows");
     motion.map_or(0, |motion| motion.num_bases)
 }
 

@@ -410,7 +410,7 @@ fn posed_gaussians_look_like_the_moving_scene() {
     }
     let near = 0.01 * trainer.survey().scene_size;
     for time in [0.0, 2.5, 5.0] {
-        let posed = trainer.model().gaussians(Some(time));
+        let posed = trainer.run().gaussians(Some(time)).expect("rows");
         let splats = Splats::new(&posed, &device).expect("Gaussians");
         let camera = camera().with_near(near);
         let degree = trainer.schedule().sh_degree_at(30);

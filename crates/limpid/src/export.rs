@@ -123,16 +123,15 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
         &arguments.at
     };
     let out = claimed(arguments.out.as_deref(), &arguments.run, "export")?;
-    let posed = |time| cut(run.model().gaussians(time), arguments.sh_degree);
+    let posed =
+        |time| -> Result<Gaussians, Failure> { Ok(cut(run.gaussians(time)?, arguments.sh_degree)) };
     for format in &arguments.format {
         match format {
-            Format::Canonical => written(&out.join("canonical.ply"), |path| {
-                io::write_ply(path, &posed(None))
-            })?,
+            Format::Canonical => ply(&out.join("canonical.ply"), &posed(None)?)?,
             Format::Ply => {
                 for &time in stills {
                     let path = out.join(format!("scene_at_{time}.ply"));
-                    written(&path, |path| io::write_ply(path, &posed(Some(time))))?;
+                    ply(&path, &posed(Some(time))?)?;
                 }
             }
             Format::PlySequence => sequence(&moments, &out.join("ply"), posed)?,
@@ -140,7 +139,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
                 for &time in stills {
                     spz(
                         &out.join(format!("scene_at_{time}.spz")),
-                        &posed(Some(time)),
+                        &posed(Some(time))?,
                     )?;
                 }
             }
@@ -152,7 +151,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
                 for &time in stills {
                     let path = out.join(format!("scene_at_{time}.glb"));
                     let glb = Glb {
-                        parts: vec![still("scene", posed(Some(time)))],
+                        parts: vec![still("scene", posed(Some(time))?)],
                         seconds: Vec::new(),
                     };
                     written(&path, |path| io::write_glb(path, &glb))?;
@@ -210,16 +209,20 @@ fn pick(gaussians: &Gaussians, rows: impl Iterator<Item = usize> + Clone) -> Gau
 fn sequence(
     moments: &[f32],
     folder: &Path,
-    posed: impl Fn(Option<f32>) -> Gaussians,
+    posed: impl Fn(Option<f32>) -> Result<Gaussians, Failure>,
 ) -> Result<(), Failure> {
     let names = Numbered::new(folder.to_owned(), ("frame_", "ply"), (4, moments.len()));
     names.alone("viewers take a folder as a sequence only where nothing else is in it")?;
     names.clear()?;
     for (index, &time) in moments.iter().enumerate() {
-        io::write_ply(&names.path(index), &posed(Some(time)))?;
+        io::write_ply(&names.path(index), &posed(Some(time))?)?;
     }
     conclude!("{}: {} files", folder.display(), moments.len());
     Ok(())
+}
+
+fn ply(path: &Path, gaussians: &Gaussians) -> Result<(), Failure> {
+    written(path, |path| io::write_ply(path, gaussians))
 }
 
 fn spz(path: &Path, gaussians: &Gaussians) -> Result<(), Failure> {
@@ -269,7 +272,7 @@ fn moving(run: &Run, arguments: &ExportArguments) -> Result<Glb, Failure> {
         )
         .into());
     }
-    let canonical = cut(run.model().gaussians(None), arguments.sh_degree);
+    let canonical = cut(run.gaussians(None)?, arguments.sh_degree);
     let fixed = pick(&canonical, run.model().num_dynamic()..canonical.len());
     let mut parts = vec![still("static", fixed)];
     for (index, part) in rigid.parts.iter().enumerate() {
@@ -339,27 +342,25 @@ fn pictures(run: &Run, images: &Path, relative: &str) -> Result<Vec<ExportedView
 }
 
 /// Means of what stands still and is rather there than not, at most a hundred thousand, for those who start from points.
-fn points(run: &Run) -> Vec<SparsePoint> {
+fn points(run: &Run) -> Result<Vec<SparsePoint>, Failure> {
     const MOST: usize = 100_000;
-    let gaussians = run.model().gaussians(None);
+    let gaussians = run.gaussians(None)?;
     let width = 3 * (gaussians.sh_degree + 1).pow(2);
     let opaque = |i: &usize| gaussians.opacity_logits[*i] > 0.0;
     let rows: Vec<usize> = (run.model().num_dynamic()..gaussians.len())
         .filter(opaque)
         .collect();
     let chosen = rows.iter().step_by(rows.len().div_ceil(MOST).max(1));
-    chosen
-        .map(|&i| SparsePoint {
-            position: io::glam::Vec3::from_array(gaussians.means[i]).as_dvec3(),
-            color: [0, 1, 2]
-                .map(|c| (0.282_094_8 * gaussians.sh[i * width + c] + 0.5).clamp(0.0, 1.0)),
-        })
-        .collect()
+    let points = chosen.map(|&i| SparsePoint {
+        position: io::glam::Vec3::from_array(gaussians.means[i]).as_dvec3(),
+        color: [0, 1, 2].map(|c| (0.282_094_8 * gaussians.sh[i * width + c] + 0.5).clamp(0.0, 1.0)),
+    });
+    Ok(points.collect())
 }
 
 fn transforms(run: &Run, folder: &Path) -> Result<(), Failure> {
     let views = pictures(run, &folder.join("images"), "images/")?;
-    io::write_points_ply(&folder.join("points.ply"), &points(run))?;
+    io::write_points_ply(&folder.join("points.ply"), &points(run)?)?;
     let path = folder.join("transforms.json");
     io::write_transforms(&path, &views, Some("points.ply"))?;
     conclude!(
@@ -373,7 +374,7 @@ fn transforms(run: &Run, folder: &Path) -> Result<(), Failure> {
 fn colmap(run: &Run, folder: &Path) -> Result<(), Failure> {
     let views = pictures(run, &folder.join("images"), "")?;
     let model = folder.join("sparse/0");
-    io::write_colmap(&model, &views, &points(run))?;
+    io::write_colmap(&model, &views, &points(run)?)?;
     conclude!(
         "{}: {} cameras, with sharp renders",
         model.display(),

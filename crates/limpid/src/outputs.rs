@@ -111,7 +111,7 @@ pub(crate) fn write_all(
 ) -> Result<Evaluation, Failure> {
     let run = trainer.run();
     let gallery = write_renders(run, Some(trainer.scene()), &out.join("renders"))?;
-    io::write_ply(&out.join("scene.ply"), &trainer.model().gaussians(None))?;
+    io::write_ply(&out.join("scene.ply"), &run.gaussians(None)?)?;
     let evaluation = trainer.evaluate()?;
     let metrics = metrics(&evaluation, run, config.run.backend);
     io::write_json(&out.join(METRICS_FILE), &metrics)?;

@@ -35,7 +35,7 @@ pub(crate) fn write(
     gallery: &Gallery,
     (metrics, curves): (&Value, &[Line]),
 ) -> Result<(), Failure> {
-    let scene = scene_bytes(run);
+    let scene = scene_bytes(run)?;
     let mut facts = Facts::new(run, config, metrics, curves);
     let gallery = serde_json::to_string(gallery)?;
     // Base64 writes three bytes as four.
@@ -69,7 +69,7 @@ pub(crate) fn live(
     facts.side_file = Some(SIDE_FILE);
     facts.live = Some(live);
     let html = page(&facts, config, (&serde_json::to_string(gallery)?, ""))?;
-    Ok((html, scene_bytes(run)))
+    Ok((html, scene_bytes(run)?))
 }
 
 /// The page; splats in base64, empty where they lie beside it.
@@ -102,8 +102,8 @@ pub(crate) fn read<F: DeserializeOwned, G: DeserializeOwned>(out: &Path) -> Opti
 }
 
 /// The Gaussians and their motion, with the colours that are trained by now.
-fn scene_bytes(run: &Run) -> Vec<u8> {
-    let gaussians = run.model().gaussians(None);
+fn scene_bytes(run: &Run) -> Result<Vec<u8>, Failure> {
+    let gaussians = run.gaussians(None)?;
     let rows = Rows {
         means: &gaussians.means,
         quats: &gaussians.quats,
@@ -115,5 +115,5 @@ fn scene_bytes(run: &Run) -> Vec<u8> {
         .schedule()
         .sh_degree_at(run.iteration())
         .min(gaussians.sh_degree);
-    splats::encode(&rows, degree, run.model().world.motion_arrays().as_ref())
+    Ok(splats::encode(&rows, degree, run.motion_arrays()?.as_ref()))
 }

@@ -1,5 +1,6 @@
 //! GPUs, and CPUs that play one, that this build's kernels can run on.
 
+use bpnet::HIDDEN_CHANNELS;
 use burn::tensor::{Device, Tensor};
 use serde::Serialize;
 
@@ -181,10 +182,11 @@ impl Gpu {
         } else {
             1
         };
-        let weights = if predicts {
-            settings.blur.kernel_size.pow(2) as u64 + 1
+        let [weights, hidden] = if predicts {
+            let weights = settings.blur.kernel_size.pow(2) + 1;
+            [weights, HIDDEN_CHANNELS].map(|numbers| numbers as u64)
         } else {
-            0
+            [0; 2]
         };
         let degree = settings.gaussians.sh_degree as u64;
         let tables = [
@@ -198,6 +200,7 @@ impl Gpu {
             ),
             ("gradients of the pixels", PIXEL * pixels * samples),
             ("kernels of the pixels", weights * pixels),
+            ("layers of BP-Net", hidden * pixels),
         ];
         let tables = tables.map(|(name, numbers)| Table {
             name,
@@ -206,7 +209,7 @@ impl Gpu {
         tables
             .into_iter()
             .max_by_key(|table| table.bytes)
-            .expect("four of them")
+            .expect("five of them")
     }
 }
 
@@ -278,6 +281,9 @@ mod tests {
         settings.blur.model = BlurKind::Kernels;
         let kernels = ("kernels of the pixels", 4 * 82 * 1920 * 1080);
         assert_eq!(of(&settings, 1_000_000), kernels);
+        settings.blur.kernel_size = 5;
+        let layers = ("layers of BP-Net", 4 * 64 * 1920 * 1080);
+        assert_eq!(of(&settings, 500_000), layers);
         settings.blur.model = BlurKind::Camera;
         let partial = ("gradients of the tiles' lists", 4 * 9 * 4 * 16 * 1_000_000);
         assert_eq!(of(&settings, 1_000_000), partial);

@@ -15,7 +15,7 @@
 //!     // report.loss, report.psnr, trainer.model() …
 //! }
 //! trainer.save("checkpoint".as_ref())?;
-//! io::write_ply("frame.ply".as_ref(), &trainer.model().gaussians(Some(0.0)))?;
+//! io::write_ply("frame.ply".as_ref(), &trainer.run().gaussians(Some(0.0))?)?;
 //! # Ok(())
 //! # }
 //! ```

@@ -8,7 +8,6 @@ use crate::parameter::Parameter;
 use crate::tensors::constant;
 use crate::world::World;
 use burn::tensor::Tensor;
-use splat_core::Gaussians;
 
 /// Everything that is trained.
 #[derive(Clone, Debug)]
@@ -81,11 +80,5 @@ impl Model {
         shown.seen = look.gained(shown.seen);
         self.corrections.add_terms(&look, &mut shown.terms);
         Ok(shown)
-    }
-
-    /// Plain arrays for a file: the scene at a time (training frames, may be fractional), or the canonical scene.
-    #[must_use]
-    pub fn gaussians(&self, time: Option<f32>) -> Gaussians {
-        self.world.gaussians(time)
     }
 }

@@ -6,6 +6,7 @@
 
 use crate::TrainError;
 use crate::grouping::{Groups, Movers, Posed};
+use crate::guarded::guarded;
 use crate::metrics::psnr_of;
 use crate::run::Run;
 use crate::tensors::{rows_from, tensor};
@@ -44,8 +45,12 @@ impl Run {
     /// The movers in parts: one, and twice as many until [`RigidParts::psnr`] is `enough` or there are `most`, whatever that leaves.
     ///
     /// # Errors
-    /// The renderer refuses its input.
+    /// The renderer refuses its input; the device fails.
     pub fn rigid_parts(&self, enough: f64, most: usize) -> Result<RigidParts, TrainError> {
+        guarded(&self.device, || self.cut_into_parts(enough, most))
+    }
+
+    fn cut_into_parts(&self, enough: f64, most: usize) -> Result<RigidParts, TrainError> {
         let world = self.model().world.detached();
         let movers = movers(&world);
         let views = &self.views().train;

@@ -13,10 +13,11 @@ use crate::state::State;
 use crate::survey::Survey;
 use crate::tensors::host;
 use crate::views::{CameraView, ViewRef, Views};
+use crate::world::MotionArrays;
 use burn::tensor::{Device, Tensor};
 use glam::DAffine3;
 use io::{Image, Map};
-use splat_core::Camera;
+use splat_core::{Camera, Gaussians};
 
 /// A run at some iteration.
 #[derive(Debug)]
@@ -123,6 +124,22 @@ impl Run {
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.iteration() >= self.plan.settings.iterations
+    }
+
+    /// Plain arrays for a file: the scene at a time (training frames, may be fractional), or the canonical scene.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn gaussians(&self, time: Option<f32>) -> Result<Gaussians, TrainError> {
+        guarded(&self.device, || Ok(self.model().world.gaussians(time)))
+    }
+
+    /// How the movers move, as plain arrays; `None` where nothing does.
+    ///
+    /// # Errors
+    /// The device fails.
+    pub fn motion_arrays(&self) -> Result<Option<MotionArrays>, TrainError> {
+        guarded(&self.device, || Ok(self.model().world.motion_arrays()))
     }
 
     /// The scene as a camera sees it at a time (training frames, may be fractional), sharp.

@@ -243,8 +243,7 @@ impl World {
     }
 
     /// The motion as plain arrays; `None` where nothing moves.
-    #[must_use]
-    pub fn motion_arrays(&self) -> Option<MotionArrays> {
+    pub(crate) fn motion_arrays(&self) -> Option<MotionArrays> {
         let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0)?;
         Some(MotionArrays {
             num_frames: motion.bases.num_frames,
@@ -264,9 +263,8 @@ impl World {
         Some((rows::<3>(&moved), rotations))
     }
 
-    /// Plain arrays for a file: the scene at a time, or the canonical scene.
-    #[must_use]
-    pub fn gaussians(&self, time: Option<f32>) -> Gaussians {
+    /// See [`crate::Run::gaussians`].
+    pub(crate) fn gaussians(&self, time: Option<f32>) -> Gaussians {
         let mut means = rows::<3>(&self.means);
         let mut quats = rows::<4>(&self.quats);
         if let Some((moved, rotations)) = time.and_then(|t| self.motions(t)) {
