@@ -12,12 +12,12 @@ use std::time::Instant;
 use trainer::settings::{BlurKind, When};
 use trainer::{Settings, Trainer};
 
-const ITERATIONS: usize = 1000;
-const SEEDS: [u64; 3] = [1, 2, 3];
+const ITERATIONS: usize = 600;
+const SEEDS: [u64; 2] = [1, 2];
 /// From the training frames to the views that are scored; movers are shifted by five pixels.
 const ASIDE: f64 = 0.1;
 /// Turn of the camera in a frame, rad.
-const SHAKES: [f64; 2] = [0.0, 0.12];
+const SHAKES: [f64; 2] = [0.12, 0.0];
 
 /// A run's PSNR of the views beside, and seconds of one thread.
 struct Trained {
@@ -82,14 +82,13 @@ fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
         out,
         "| bodies | shake, rad | modelled | as decided, dB | against everything, dB | seconds |\n|---|---|---|---|---|---|"
     )?;
-    for bodies in [
-        Bodies::Balls(1),
-        Bodies::Balls(2),
-        Bodies::Balls(3),
-        Bodies::Rod,
-        Bodies::Still,
-    ] {
-        for shake in SHAKES {
+    for shake in SHAKES {
+        for bodies in [
+            Bodies::Balls(1),
+            Bodies::Balls(2),
+            Bodies::Balls(3),
+            Bodies::Rod,
+        ] {
             let mut pairs = Vec::new();
             for seed in SEEDS {
                 let run = |everything| in_pool(1, || trained(bodies, shake, seed, everything));
