@@ -7,7 +7,7 @@ mod common;
 use common::copy;
 use std::error::Error;
 use std::fs;
-use std::io::{BufRead as _, BufReader};
+use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::time::{Duration, SystemTime};
@@ -380,5 +380,36 @@ fn a_port_that_is_taken_is_told_before_a_scene_is_looked_for() -> Outcome {
     assert!(!refused.status.success(), "{said}");
     assert!(said.contains(&format!("port {port}")), "{said}");
     assert!(!said.contains("nowhere"), "{said}");
+    Ok(())
+}
+
+#[test]
+fn what_may_not_fit_into_memory_is_told_before_training_with_a_size_that_would() -> Outcome {
+    if !Path::new("/proc/self/limits").exists() {
+        // Past the test harness, which would keep it.
+        let line =
+            "skipped: what may not fit into memory: this system does not say what there is\n";
+        std::io::stderr().write_all(line.as_bytes())?;
+        return Ok(());
+    }
+    let folder = tempfile::tempdir()?;
+    for (most, warns) in [("3", false), ("100000", true)] {
+        let out = folder.path().join(most);
+        let mut command = Command::new("sh");
+        // 16 GiB, if the machine has so many.
+        command.args(["-c", "ulimit -v 16777216 && exec \"$@\"", "sh"]);
+        command.args([env!("CARGO_BIN_EXE_limpid"), "train", "--scene", DEMO]);
+        command.args(["--out", path(&out), "--downscale", "5", "--blur", "off"]);
+        command.args(["--iterations", "200", "--set"]);
+        let trained = command
+            .arg(format!("gaussians.max_per_pixel={most}"))
+            .output()?;
+        let said = text(&trained.stderr);
+        assert!(trained.status.success(), "{said}");
+        let warning = said.lines().find(|l| l.contains("training may take"));
+        assert_eq!(warning.is_some(), warns, "{said}");
+        let advises = |line: &str| line.contains("--downscale") && line.contains("max_per_pixel");
+        assert!(warning.is_none_or(advises), "{said}");
+    }
     Ok(())
 }
