@@ -7,7 +7,6 @@ use rayon::prelude::*;
 
 use super::body::{Body, Shapes, column};
 use super::constants::MIN_ALPHA;
-use super::float::Float;
 use super::geometry::{Geometry, Lens, project_some, view_directions};
 use super::packs::{Number, Pack, WIDEST, arrays};
 use super::real::Real;
@@ -76,7 +75,7 @@ impl<T> Projection<T> {
     }
 }
 
-impl<T: Float> Projection<T> {
+impl<T: Copy + Into<f64>> Projection<T> {
     /// Every Gaussian in the image, and the tiles' lists.
     #[must_use]
     pub fn stages(&self) -> Stages {
