@@ -3,6 +3,8 @@
 use glam::{DAffine3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
+use crate::cpu::TILE;
+
 /// How a camera projects a point; one variant for now.
 ///
 /// Exhaustive on purpose: whatever computes with intrinsics matches the model, so that a second variant
@@ -60,6 +62,11 @@ impl Camera {
     pub fn with_near(mut self, near: f64) -> Self {
         self.near = near;
         self
+    }
+
+    /// Number of tiles along x and y.
+    pub(crate) fn tiles(&self) -> [usize; 2] {
+        [self.width, self.height].map(|side| side.div_ceil(TILE))
     }
 
     /// Number of pixels.

@@ -32,7 +32,7 @@ impl Stages {
     /// Those of a view without a Gaussian.
     #[cfg(feature = "cube")]
     pub(crate) fn blank(camera: &crate::Camera) -> Self {
-        let tiles = [camera.width, camera.height].map(|side| side.div_ceil(crate::cpu::TILE));
+        let tiles = camera.tiles();
         Self {
             projected: Vec::new(),
             tiles,

@@ -1,7 +1,7 @@
 //! Generated scenes, from a single Gaussian to lists of several batches a tile, with thin, huge, hidden and faint Gaussians
 //! among them.
 
-use burn::tensor::{DType, Device};
+use burn::tensor::{DType, Device, Tensor};
 use limpid_tests::{noise, tensor};
 use splat_core::{Camera, Splats, Viewpoint};
 
@@ -145,11 +145,7 @@ impl Case {
         device: &Device,
         dtype: DType,
     ) -> (Splats, Viewpoint) {
-        let of = |name: &str| {
-            let named = inputs.iter().find(|input| input.0 == name);
-            let (_, shape, values) = named.expect("an input");
-            tensor(values, *shape, device, dtype).require_grad()
-        };
+        let of = |name: &str| tracked(inputs, name, device, dtype);
         let splats = Splats {
             means: of("means"),
             quats: of("quats"),
@@ -165,4 +161,11 @@ impl Case {
         };
         (splats, view)
     }
+}
+
+/// An input, tracked.
+pub(crate) fn tracked(inputs: &Inputs, name: &str, device: &Device, dtype: DType) -> Tensor<2> {
+    let named = inputs.iter().find(|input| input.0 == name);
+    let (_, shape, values) = named.expect("an input");
+    tensor(values, *shape, device, dtype).require_grad()
 }

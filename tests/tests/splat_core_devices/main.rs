@@ -4,7 +4,7 @@ mod case;
 mod stages;
 
 use burn::tensor::{DType, Device, Tensor};
-use case::{CASES, Case};
+use case::{CASES, Case, tracked};
 use limpid_tests::{devices, noise, skipped, tensor, values};
 use splat_core::{
     Exposure, Extra, Movers, SplatError, Splats, Transfer, Viewpoint, expose, prepare, rasterize,
@@ -99,14 +99,11 @@ impl Case {
 
     /// Renders in f32, with a way back.
     fn render(&self, device: &Device) -> Result<(), SplatError> {
-        let (splats, view) = self.scene(&self.inputs(), device, DType::F32);
+        let inputs = self.inputs();
+        let (splats, view) = self.scene(&inputs, device, DType::F32);
         let prepared = prepare(&splats, &view)?;
         let extra = Extra {
-            features: (self.features > 0).then(|| {
-                let features = noise(self.rows * self.features, 6);
-                let shape = [self.rows, self.features];
-                tensor(&features, shape, device, DType::F32).require_grad()
-            }),
+            features: (self.features > 0).then(|| tracked(&inputs, "features", device, DType::F32)),
             screen_grad: None,
         };
         rasterize(&prepared, splats, view.cam_from_world, extra).map(|_| ())

@@ -45,15 +45,15 @@ fn scenes() -> Vec<(Kind, Case)> {
 fn inputs(kind: Kind, case: &Case) -> Inputs {
     let mut inputs = case.inputs();
     for (name, _, values) in &mut inputs {
-        let depth = |z: f64| {
+        let shifted = |z: f64| {
             let identity = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
             identity.into_iter().chain([z]).collect::<Vec<f64>>()
         };
         match (kind, *name) {
             (Kind::Flat, "means") => values.iter_mut().skip(2).step_by(3).for_each(|z| *z = 4.0),
-            (Kind::Flat, "cam_from_world") => *values = depth(0.0),
+            (Kind::Flat, "cam_from_world") => *values = shifted(0.0),
             (Kind::Huge, "log_scales") => values.iter_mut().for_each(|v| *v = 1.5),
-            (Kind::Behind, "cam_from_world") => *values = depth(-20.0),
+            (Kind::Behind, "cam_from_world") => *values = shifted(-20.0),
             _ => {}
         }
     }

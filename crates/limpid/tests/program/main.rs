@@ -4,10 +4,10 @@ mod checkpoints;
 #[path = "../common/mod.rs"]
 mod common;
 
-use common::copy;
+use common::{copy, skipped};
 use std::error::Error;
 use std::fs;
-use std::io::{BufRead as _, BufReader, Write as _};
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::time::{Duration, SystemTime};
@@ -386,11 +386,8 @@ fn a_port_that_is_taken_is_told_before_a_scene_is_looked_for() -> Outcome {
 #[test]
 fn what_may_not_fit_into_memory_is_told_before_training_with_a_size_that_would() -> Outcome {
     if !Path::new("/proc/self/limits").exists() {
-        // Past the test harness, which would keep it.
-        let line =
-            "skipped: what may not fit into memory: this system does not say what there is\n";
-        std::io::stderr().write_all(line.as_bytes())?;
-        return Ok(());
+        let why = "this system does not say how much there is";
+        return Ok(skipped("what may not fit into memory", why)?);
     }
     let folder = tempfile::tempdir()?;
     for (most, warns) in [("3", false), ("100000", true)] {

@@ -13,9 +13,9 @@ mod watch;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use browser::{Browser, Outcome, chromium};
-use common::copy;
+use common::{copy, skipped};
 use std::fs;
-use std::io::{BufRead as _, BufReader, Write as _};
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -23,14 +23,12 @@ const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
 /// A report's pictures and the renderer's may differ by so much on the average, 8-bit units.
 const MEAN_DIFFERENCE: f64 = 2.0;
 
-/// Chromium, or a word that there is none. Not through `eprintln!`, which the test harness catches.
+/// Chromium, or a word that there is none.
 fn browser_or_word(test: &str) -> Outcome<Option<std::path::PathBuf>> {
     let found = chromium();
     if found.is_none() {
-        let line = format!(
-            "skipped: {test}: there is no Chromium (Debian's package chromium, or LIMPID_CHROMIUM=PROGRAM)\n"
-        );
-        std::io::stderr().write_all(line.as_bytes())?;
+        let why = "there is no Chromium (Debian's package chromium, or LIMPID_CHROMIUM=PROGRAM)";
+        skipped(test, why)?;
     }
     Ok(found)
 }

@@ -8,7 +8,6 @@ use rayon::prelude::*;
 
 use super::blocks::{BLOCK, BLOCKS};
 use super::body::Body;
-use super::constants::TILE;
 use super::exposure::{COLORS, Exposed, ExposedState, Exposure, Moved, Sample};
 use super::geometry::{Lens, project_some};
 use super::packs::Pack;
@@ -31,7 +30,8 @@ pub(super) fn expose<T: Real>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, 
     let middle = Lens::new(view)?;
     let stills = stills(exposure, &middle)?;
     let (n, count, camera) = (exposure.num_samples(), splats.len(), &view.camera);
-    let num_tiles = camera.width.div_ceil(TILE) * camera.height.div_ceil(TILE);
+    let [across, down] = camera.tiles();
+    let num_tiles = across * down;
     let mut picture = filled([T::ZERO; BLOCK], num_tiles * BLOCKS * COLORS);
     let mut radii = vec![0.0_f32; count];
     let arch = Arch::new();

@@ -3,7 +3,6 @@
 use burn_cubecl::tensor::CubeTensor;
 
 use super::tables::{Tables, read};
-use crate::cpu::TILE;
 use crate::cube::splat::{COLOR, DEPTH, OPACITY, SPLAT};
 use crate::error::SplatError;
 use crate::stages::{InImage, Stages};
@@ -11,7 +10,6 @@ use crate::stages::{InImage, Stages};
 impl Tables {
     /// Every Gaussian in the image, and the tiles' lists, of a scene of one sample.
     pub(crate) fn stages(&self) -> Result<Stages, SplatError> {
-        let camera = &self.scene.camera;
         let floats = |table: &CubeTensor| -> Result<Vec<f64>, SplatError> {
             let words = read(table)?;
             let float = |word: u32| f64::from(f32::from_bits(word));
@@ -39,7 +37,7 @@ impl Tables {
         }
         Ok(Stages {
             projected,
-            tiles: [camera.width, camera.height].map(|side| side.div_ceil(TILE)),
+            tiles: self.scene.camera.tiles(),
             tile_starts,
             listed,
         })

@@ -7,7 +7,7 @@ use host::cube::empty;
 use host::{said, waiting};
 
 use crate::camera::Camera;
-use crate::cpu::{GEOMETRIC, TILE, tangents};
+use crate::cpu::{GEOMETRIC, tangents};
 use crate::cube::geometry::LensLaunch;
 use crate::cube::raster_backward::pixel_width;
 use crate::error::SplatError;
@@ -45,8 +45,8 @@ impl Scene {
 
     /// Tiles of all samples.
     pub(super) fn tiles(&self) -> usize {
-        let camera = &self.camera;
-        self.samples * camera.width.div_ceil(TILE) * camera.height.div_ceil(TILE)
+        let [across, down] = self.camera.tiles();
+        self.samples * across * down
     }
 
     pub(super) fn lens(&self) -> LensLaunch {
