@@ -1,7 +1,8 @@
 //! What the tests that cross crates share: the one list of devices, the f64 gradient check, properties on random input, a tiny
-//! scene, a wall, and the cases of docs/NUMERICS.md.
+//! scene, scenes of moving bodies and folders of them, a wall, and the cases of docs/NUMERICS.md.
 
 pub mod bodies;
+pub mod folder;
 mod gradcheck;
 pub mod numerics;
 pub mod tiny;

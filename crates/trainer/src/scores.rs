@@ -27,6 +27,9 @@ pub struct Evaluation {
     pub iterations: usize,
     /// Number of Gaussians.
     pub gaussians: GaussianCounts,
+    /// Number of motion bases; 0 where nothing moves.
+    #[serde(default)]
+    pub bases: usize,
     /// What the blur model says of itself; absent without one.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub blur: Option<BlurFigures>,
@@ -166,6 +169,7 @@ impl Run {
                 fixed: model.num_gaussians() - model.num_dynamic(),
                 dynamic: model.num_dynamic(),
             },
+            bases: model.world.num_bases(),
             blur: figures.figures(),
             corrections: model.corrections.figures(&self.views().train),
         })

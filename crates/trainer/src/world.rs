@@ -242,6 +242,12 @@ impl World {
         copy
     }
 
+    /// Number of motion bases; 0 where nothing moves.
+    pub(crate) fn num_bases(&self) -> usize {
+        let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0);
+        motion.map_or(0, |motion| motion.bases.num_bases())
+    }
+
     /// The motion as plain arrays; `None` where nothing moves.
     pub(crate) fn motion_arrays(&self) -> Option<MotionArrays> {
         let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0)?;

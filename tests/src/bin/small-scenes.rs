@@ -1,91 +1,34 @@
-//! What the survey costs on scenes of the rasteriser's own: `cargo run --package limpid-tests --bin small-scenes`.
+//! Writes small scenes of the rasteriser's own as folders: `cargo run --package limpid-tests --bin small-scenes -- DIR`.
 //!
-//! Each scene is trained as the survey decides, and with everything that there are inputs for, as the laboratory's study `survey`
-//! trains larger ones; a table goes to standard output.
+//! One, two and three balls that each go their own way and a rod that bends, each blurred and sharp, with test views beside the
+//! frames: what the study `small` trains (`cargo xtask lab small --scenes DIR`).
 
 use burn::tensor::Device;
 use limpid_tests::bodies::{Bodies, scene, views_beside};
+use limpid_tests::folder;
 use std::error::Error;
-use std::io::Write as _;
-use trainer::settings::{BlurKind, When};
-use trainer::{Settings, Trainer};
+use std::path::PathBuf;
 
-const ITERATIONS: usize = 600;
-const SEEDS: [u64; 2] = [1, 2];
-/// From the training frames to the views that are scored; movers are shifted by five pixels.
+/// From the training frames to the views that are scored, scene units; movers are shifted by five pixels.
 const ASIDE: f64 = 0.1;
 /// Turn of the camera in a frame, rad.
-const SHAKES: [f64; 2] = [0.12, 0.0];
-
-/// A run's PSNR of the views beside.
-struct Trained {
-    psnr: f64,
-    /// What is modelled.
-    modelled: String,
-}
-
-fn trained(
-    bodies: Bodies,
-    shake: f64,
-    seed: u64,
-    everything: bool,
-) -> Result<Trained, Box<dyn Error + Send + Sync>> {
-    let device = Device::flex();
-    let mut settings = Settings {
-        seed,
-        iterations: ITERATIONS,
-        ..Settings::default()
-    };
-    if everything {
-        settings.blur.model = BlurKind::Both;
-        settings.unseen.when = When::Always;
-        settings.frames.gains = When::Always;
-        settings.motion.when = When::Always;
-    }
-    let mut scene = scene(bodies, shake, &device);
-    scene.test = views_beside(bodies, shake, ASIDE, &device);
-    let mut trainer = Trainer::new(scene, settings, &device)?;
-    while !trainer.is_done() {
-        trainer.step()?;
-    }
-    let scores = trainer.evaluate()?.test.ok_or("there are test views")?;
-    let survey = trainer.survey();
-    let motion = trainer.run().motion_arrays()?;
-    let modelled = format!(
-        "{} bases, {}",
-        motion.map_or(0, |motion| motion.num_bases),
-        if survey.blurred { "blur" } else { "no blur" }
-    );
-    Ok(Trained {
-        psnr: scores.mean.psnr,
-        modelled,
-    })
-}
+const SHAKES: [(f64, &str); 2] = [(0.12, ""), (0.0, "-sharp")];
+const BODIES: [(Bodies, &str); 4] = [
+    (Bodies::Balls(1), "one-ball"),
+    (Bodies::Balls(2), "two-balls"),
+    (Bodies::Balls(3), "three-balls"),
+    (Bodies::Rod, "rod"),
+];
 
 fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
-    let mut out = std::io::stdout().lock();
-    writeln!(
-        out,
-        "| bodies | shake, rad | seed | modelled | as decided, dB | everything, dB |\n|---|---|---|---|---|---|"
-    )?;
-    for shake in SHAKES {
-        for bodies in [
-            Bodies::Balls(1),
-            Bodies::Balls(2),
-            Bodies::Balls(3),
-            Bodies::Rod,
-        ] {
-            for seed in SEEDS {
-                let [decided, everything] = [
-                    trained(bodies, shake, seed, false)?,
-                    trained(bodies, shake, seed, true)?,
-                ];
-                writeln!(
-                    out,
-                    "| {bodies:?} | {shake} | {seed} | {} | {:.2} | {:.2} |",
-                    decided.modelled, decided.psnr, everything.psnr
-                )?;
-            }
+    let argument = std::env::args_os().nth(1);
+    let root = PathBuf::from(argument.ok_or("which folder are the scenes to be written to?")?);
+    let device = Device::flex();
+    for (shake, blur) in SHAKES {
+        for (bodies, name) in BODIES {
+            let mut scene = scene(bodies, shake, &device);
+            scene.test = views_beside(bodies, shake, ASIDE, &device);
+            folder::write(&scene, &root.join(format!("{name}{blur}")))?;
         }
     }
     Ok(())
