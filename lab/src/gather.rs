@@ -2,13 +2,13 @@
 
 use crate::error::LabError;
 use crate::execute::{Record, is_finished};
-use crate::expand::{Arm, Case, arms, cases};
+use crate::expand::{arms, cases};
 use crate::kept::Kept;
 use crate::machine::date;
 use crate::plan::{Places, Program};
-use crate::report::{Cell, FailedRun, Figures, Origin, Report, Row, SceneTable};
-use crate::score::{Kind, Score};
-use crate::statistics::Summary;
+use crate::report::{FailedRun, Finished, Origin, Report, SceneTable};
+use crate::rows::{of_scene, overall, rows};
+use crate::score::Score;
 use crate::study::Study;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -27,8 +27,15 @@ pub fn gather(
 ) -> Result<Report, LabError> {
     let (name, study, path) = study;
     let cases = cases(study, path, &program.fingerprint)?;
+    let mut origin = Origin {
+        version: program.version.clone(),
+        commit: program.commit.clone(),
+        changed: program.changed,
+        dates: None,
+        machines: Vec::new(),
+    };
     let (mut days, mut machines, mut failed) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
-    let mut figures: BTreeMap<&str, Figures> = BTreeMap::new();
+    let mut finished: BTreeMap<&str, Finished> = BTreeMap::new();
     let mut seen = BTreeSet::new();
     for case in &cases {
         let id = case.run.id.as_str();
@@ -45,9 +52,13 @@ pub fn gather(
             let metrics = read_metrics(&folder.join("metrics.json"))?;
             let measured = record.measured();
             let of = |score: &Score| score.of(&metrics, measured.as_ref());
-            figures.insert(id, study.score.iter().map(of).collect());
-        } else if let Some(earlier) = kept.and_then(|kept| kept.figures(case, &study.score)) {
-            figures.insert(id, earlier);
+            let run = Finished {
+                figures: study.score.iter().map(of).collect(),
+                program: Some(origin.program()),
+            };
+            finished.insert(id, run);
+        } else if let Some(earlier) = kept.and_then(|kept| kept.finished(case, &study.score)) {
+            finished.insert(id, earlier);
         } else if let Some(how) = record.attempts.last().and_then(|a| a.failed.clone()) {
             failed.push(FailedRun {
                 scene: case.scene.clone(),
@@ -58,16 +69,9 @@ pub fn gather(
             });
         }
     }
-    let mut origin = Origin {
-        version: program.version.clone(),
-        commit: program.commit.clone(),
-        changed: program.changed,
-        dates: None,
-        machines: Vec::new(),
-    };
     let mut earlier = Vec::new();
     for kept in kept.iter().flat_map(|kept| kept.origins()) {
-        if kept.is_program_of(&origin) {
+        if kept.program() == origin.program() {
             days.extend(
                 kept.dates
                     .iter()
@@ -84,7 +88,7 @@ pub fn gather(
     let arms = arms(study, path)?;
     let table = |scene: &String| SceneTable {
         scene: scene.clone(),
-        rows: rows(study, &arms, &of_scene(&cases, &figures, scene)),
+        rows: rows(study, &arms, &of_scene(&cases, &finished, scene)),
     };
     let scenes: Vec<SceneTable> = study.scenes.iter().map(table).collect();
     Ok(Report {
@@ -94,7 +98,7 @@ pub fn gather(
         origin,
         earlier,
         planned: seen.len(),
-        finished: figures.len(),
+        finished: finished.len(),
         failed,
         seeds: study.seeds.clone(),
         baseline: study.baseline().to_owned(),
@@ -110,165 +114,16 @@ fn read_metrics(path: &Path) -> Result<Value, LabError> {
     serde_json::from_slice(&text).map_err(|e| LabError::content(path, e))
 }
 
-/// Figures of a scene, by arm and seed.
-type ByArm<'a> = BTreeMap<&'a str, BTreeMap<u64, &'a Figures>>;
-
-fn of_scene<'a>(cases: &'a [Case], figures: &'a BTreeMap<&str, Figures>, scene: &str) -> ByArm<'a> {
-    let mut all = ByArm::new();
-    for case in cases.iter().filter(|case| case.scene == scene) {
-        let seeds = all.entry(&case.arm).or_default();
-        if let Some(figures) = figures.get(case.run.id.as_str()) {
-            seeds.insert(case.seed, figures);
-        }
-    }
-    all
-}
-
-/// A row for every arm that is run on a scene.
-fn rows(study: &Study, arms: &[Arm], all: &ByArm<'_>) -> Vec<Row> {
-    let values = |arm: Option<&str>, score: usize| -> BTreeMap<u64, f64> {
-        let seeds = arm.and_then(|arm| all.get(arm)).into_iter().flatten();
-        seeds
-            .filter_map(|(seed, figures)| Some((*seed, figures[score]?)))
-            .collect()
-    };
-    let cell = |arm: &Arm, score: usize| {
-        let here = values(Some(&arm.name), score);
-        let there = values(arm.against.as_deref(), score);
-        let from = values(Some(study.baseline()), score);
-        let to = values(study.bound.as_deref(), score);
-        let kind = study.score[score].kind();
-        let is_way = kind == Kind::Quality && arm.name != study.baseline();
-        Cell {
-            mean: Summary::of(&Vec::from_iter(here.values().copied())),
-            gain: gain(kind, &here, &there),
-            closed: is_way.then(|| closed(&here, &from, &to)).flatten(),
-            values: here,
-        }
-    };
-    arms.iter()
-        .filter_map(|arm| {
-            let runs = all.get(arm.name.as_str())?.len();
-            let cells = (0..study.score.len()).map(|score| cell(arm, score));
-            Some(row(arm, 1, runs, cells.collect()))
-        })
-        .collect()
-}
-
-fn row(arm: &Arm, scenes: usize, runs: usize, cells: Vec<Cell>) -> Row {
-    Row {
-        arm: arm.name.clone(),
-        asks: arm.asks(),
-        against: arm.against.clone(),
-        knob: arm.knob.clone(),
-        is_given_truth: arm.is_given_truth(),
-        is_perturbed: arm.is_perturbed(),
-        scenes,
-        runs,
-        cells,
-    }
-}
-
-/// The gain of `here` against `there`, over the seeds that both have.
-fn gain(kind: Kind, here: &BTreeMap<u64, f64>, there: &BTreeMap<u64, f64>) -> Option<Summary> {
-    let pairs = here.iter().filter_map(|(seed, a)| {
-        let b = there.get(seed)?;
-        match kind {
-            Kind::Quality | Kind::Finding => Some(a - b),
-            Kind::Cost => (*b > 0.0).then(|| a / b),
-        }
-    });
-    Summary::of(&pairs.collect::<Vec<_>>())
-}
-
-/// The share of the way between two arms, over the seeds that all three have; none where that way is not clear of zero, which a share
-/// would divide by.
-fn closed(
-    here: &BTreeMap<u64, f64>,
-    from: &BTreeMap<u64, f64>,
-    to: &BTreeMap<u64, f64>,
-) -> Option<Summary> {
-    let ways: Vec<(f64, f64)> = here
-        .iter()
-        .filter_map(|(seed, here)| {
-            let from = from.get(seed)?;
-            Some((here - from, to.get(seed)? - from))
-        })
-        .collect();
-    let whole = Summary::of(&Vec::from_iter(ways.iter().map(|(_, whole)| *whole)))?;
-    let is_way = whole.mean > 0.0 && (whole.standard_error.is_none() || whole.is_clear());
-    let shares = ways.iter().map(|(part, whole)| part / whole);
-    is_way
-        .then(|| Summary::of(&shares.collect::<Vec<_>>()))
-        .flatten()
-}
-
-/// Means over scenes of what was gained on each.
-fn overall(arms: &[Arm], scenes: &[SceneTable], scores: usize) -> Vec<Row> {
-    let mut all = Vec::new();
-    for arm in arms {
-        let found = scenes.iter().flat_map(|table| &table.rows);
-        let found: Vec<&Row> = found.filter(|row| row.arm == arm.name).collect();
-        let cell = |score: usize| {
-            let over = |of: fn(&Cell) -> Option<Summary>| {
-                let parts = found.iter().filter_map(|row| of(&row.cells[score]));
-                Summary::over(&parts.collect::<Vec<_>>())
-            };
-            Cell {
-                values: BTreeMap::new(),
-                mean: over(|cell| cell.mean),
-                gain: over(|cell| cell.gain),
-                closed: over(|cell| cell.closed),
-            }
-        };
-        let cells = (0..scores).map(cell).collect();
-        let with_runs = found.iter().filter(|row| row.runs > 0).count();
-        let runs = found.iter().map(|row| row.runs).sum();
-        all.push(row(arm, with_runs, runs, cells));
-    }
-    all
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::execute::Failed;
+    use crate::expand::Case;
     use crate::machine::Machine;
+    use crate::report::Row;
 
     fn map(values: &[(u64, f64)]) -> BTreeMap<u64, f64> {
         values.iter().copied().collect()
-    }
-
-    #[test]
-    fn gains_are_paired_by_seed() {
-        // Seeds differ by 10, the gain hardly: its error is that of the differences 1.0 and 1.2.
-        let here = map(&[(1, 21.0), (2, 31.2), (4, 99.0)]);
-        let there = map(&[(1, 20.0), (2, 30.0), (3, 0.0)]);
-        let found = gain(Kind::Quality, &here, &there).expect("two pairs");
-        assert_eq!(found.count, 2);
-        assert!((found.mean - 1.1).abs() < 1e-12);
-        assert!((found.standard_error.expect("two") - 0.1).abs() < 1e-12);
-        let times = gain(Kind::Cost, &here, &there).expect("two pairs");
-        assert!((times.mean - (1.05 + 1.04) / 2.0).abs() < 1e-12);
-        assert_eq!(gain(Kind::Quality, &here, &map(&[(3, 1.0)])), None);
-    }
-
-    #[test]
-    fn a_share_needs_a_way_to_be_a_share_of() {
-        let from = map(&[(1, 20.0), (2, 20.0)]);
-        let to = map(&[(1, 30.0), (2, 40.0)]);
-        let found = closed(&map(&[(1, 25.0), (2, 35.0)]), &from, &to).expect("a way");
-        assert!((found.mean - 0.625).abs() < 1e-12);
-        let found = closed(&from, &from, &to).expect("a way");
-        assert_eq!(found.mean, 0.0);
-        let flat = map(&[(1, 20.1), (2, 19.95)]);
-        assert_eq!(
-            closed(&to, &from, &flat),
-            None,
-            "inside two standard errors"
-        );
-        assert_eq!(closed(&to, &to, &from), None, "the wrong way");
-        assert_eq!(closed(&to, &from, &BTreeMap::new()), None, "no bound yet");
     }
 
     const STUDY: &str = r#"
@@ -469,6 +324,7 @@ except = ["b"]
         ] {
             assert!(table.contains(part), "{part}: {table}");
         }
+        assert!(!table.contains('†'), "pairs are of one seed: {table}");
 
         // Told again of itself it is the same, and a program of the same commit elsewhere is the same program.
         let again = of("second", Some(&keep(&whole).expect("a report")));
@@ -490,6 +346,28 @@ except = ["b"]
                 "{case:?}"
             );
         }
+        // Made by another program, it is told apart from what it is compared with.
+        for case in all.iter().filter(|case| !kept.holds(case)) {
+            write(&places("p"), case, Some(32.0));
+        }
+        let report = |program, kept| {
+            gather(("s", &changed, path), &program, &places("p"), kept).expect("a report")
+        };
+        let mixed = report(program("p"), Some(&kept));
+        let is_mixed = |row: &Row| {
+            let known = |seed: u64, commit: &str| row.programs[&seed].contains(commit);
+            assert!(known(1, if row.arm == "on" { "p" } else { "first" }) && known(2, "p"));
+            row.is_mixed
+        };
+        let [rows, _] = &mixed.scenes[..] else {
+            panic!("two scenes")
+        };
+        assert!(rows.rows.iter().map(is_mixed).eq([false, true, false]));
+        let table = crate::table::markdown(&mixed, None);
+        for part in ["| on† | 2 |", "† where runs of two programs are compared"] {
+            assert!(table.contains(part), "{part}: {table}");
+        }
+
         let more = STUDY.replace("\"cpu\"", "\"cpu\", \"ssim\"");
         let more = Study::parse(&more, path).expect("a study");
         for (name, study, told) in [("s", &more, "have no `ssim`"), ("t", &study, "not of `t`")] {

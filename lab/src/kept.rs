@@ -2,7 +2,7 @@
 
 use crate::error::LabError;
 use crate::expand::Case;
-use crate::report::{Figures, Origin, Report, Row};
+use crate::report::{Finished, Origin, Report, Row};
 use crate::score::Score;
 use crate::study::Study;
 use std::fs;
@@ -44,14 +44,23 @@ impl Kept {
         self.row(case).is_some_and(has_seed)
     }
 
-    /// The figures of that run.
-    pub(crate) fn figures(&self, case: &Case, scores: &[Score]) -> Option<Figures> {
+    /// That run.
+    pub(crate) fn finished(&self, case: &Case, scores: &[Score]) -> Option<Finished> {
         let row = self.row(case).filter(|_| self.holds(case))?;
         let of = |score: &Score| {
             let column = self.report.scores.iter().position(|s| s == score)?;
             row.cells.get(column)?.values.get(&case.seed).copied()
         };
-        Some(scores.iter().map(of).collect())
+        let program = row.programs.get(&case.seed).cloned();
+        // Reports of one program need not say it of every run.
+        let only = || {
+            let is_only = self.report.earlier.is_empty();
+            is_only.then(|| self.report.origin.program())
+        };
+        Some(Finished {
+            figures: scores.iter().map(of).collect(),
+            program: program.or_else(only),
+        })
     }
 
     /// What made its runs, the latest last.

@@ -25,6 +25,7 @@ mod plot;
 mod poses;
 mod report;
 mod retake;
+mod rows;
 mod scenes;
 mod score;
 mod statistics;

@@ -251,6 +251,7 @@ fn key(area: &Area<'_>, knobs: &[&str], front: bool) -> Drawn {
 mod tests {
     use super::*;
     use crate::report::{Cell, Origin};
+    use std::collections::BTreeMap;
 
     fn row(arm: &str, knob: Option<&str>, cost: f64, quality: f64) -> Row {
         let cell = |value: f64| Cell {
@@ -266,6 +267,8 @@ mod tests {
             is_perturbed: arm == "perturbed",
             scenes: 1,
             runs: 2,
+            programs: BTreeMap::new(),
+            is_mixed: false,
             cells: vec![cell(cost), cell(quality)],
         }
     }

@@ -7,8 +7,14 @@ use crate::statistics::Summary;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The figures of a finished run: one a score.
-pub(crate) type Figures = Vec<Option<f64>>;
+/// A finished run.
+#[derive(Clone, Debug)]
+pub(crate) struct Finished {
+    /// A figure a score.
+    pub(crate) figures: Vec<Option<f64>>,
+    /// What made it, as [`Origin::program`] has it; not known of some that earlier reports hold.
+    pub(crate) program: Option<String>,
+}
 
 /// All that the runs of a study say, without a path of this machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -61,16 +67,16 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// Whether both are of the same program, as far as its commit tells.
-    pub(crate) fn is_program_of(&self, other: &Self) -> bool {
-        let program = |origin: &Self| {
-            (
-                origin.version.clone(),
-                origin.commit.clone(),
-                origin.changed,
-            )
-        };
-        program(self) == program(other)
+    /// The program, as far as its commit tells.
+    pub(crate) fn program(&self) -> String {
+        match &self.commit {
+            Some(commit) if self.changed => {
+                format!("{}, commit `{commit}` with changes on top", self.version)
+            }
+            Some(commit) => format!("{}, commit `{commit}`", self.version),
+            // Its version may name one.
+            None => self.version.clone(),
+        }
     }
 }
 
@@ -119,6 +125,12 @@ pub struct Row {
     pub scenes: usize,
     /// How many of its runs are finished.
     pub runs: usize,
+    /// What made them, by seed, where that is known.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub programs: BTreeMap<u64, String>,
+    /// Whether a gain may be between runs of two programs.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_mixed: bool,
     /// A cell a score.
     pub cells: Vec<Cell>,
 }

@@ -65,12 +65,6 @@ fn write_all(out: &mut String, report: &Report, plot: Option<&str>) -> std::fmt:
 
 /// Commit, date and machine.
 fn origin(of: &Origin) -> String {
-    let commit = match &of.commit {
-        Some(commit) if of.changed => format!(", commit `{commit}` with changes on top"),
-        Some(commit) => format!(", commit `{commit}`"),
-        // Its version may name one.
-        None => String::new(),
-    };
     let dates = match &of.dates {
         Some((first, last)) if first == last => format!(", {first}"),
         Some((first, last)) => format!(", {first} to {last}"),
@@ -85,7 +79,7 @@ fn origin(of: &Origin) -> String {
         0 => String::new(),
         _ => format!(", on {}", machines.join("; ")),
     };
-    format!("{}{commit}{dates}{machines}", of.version)
+    of.program() + &dates + &machines
 }
 
 /// The same of all programs that made runs.
@@ -130,9 +124,16 @@ fn legend(report: &Report) -> String {
     if let Some(bound) = &report.bound {
         write!(text, ", and the share of the way to `{bound}`").expect("a string takes text");
     }
+    if report.overall.iter().any(|row| row.is_mixed) {
+        write!(text, "; {MIXED} where runs of two programs are compared")
+            .expect("a string takes text");
+    }
     text.push('.');
     text
 }
+
+/// Behind a row whose gains may be between two programs.
+const MIXED: &str = "†";
 
 fn head(out: &mut String, counted: &str, scores: &[Score]) -> std::fmt::Result {
     write!(out, "| | {counted} |")?;
@@ -154,11 +155,9 @@ fn write_row(
         Some(against) if *against != report.baseline => format!(", against {against}"),
         _ => String::new(),
     };
-    write!(
-        out,
-        "| {}{against} | {count} |",
-        row.arm.replace('|', "\\|")
-    )?;
+    let mixed = if row.is_mixed { MIXED } else { "" };
+    let arm = row.arm.replace('|', "\\|");
+    write!(out, "| {arm}{against}{mixed} | {count} |")?;
     for cell in cells {
         write!(out, " {cell} |")?;
     }
