@@ -363,7 +363,7 @@ mod tests {
     #[test]
     fn nothing_is_started_once_all_was_ended_and_two_do_not_share_a_run() {
         let folder = tempfile::tempdir().expect("a folder");
-        let (run, program) = stand_in(folder.path(), "exec sleep 60");
+        let (run, program) = stand_in(folder.path(), "exec sleep 10");
         let children = Children::default();
         std::thread::scope(|scope| {
             let first = scope.spawn(|| execute(&run, &program, &children));

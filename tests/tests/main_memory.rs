@@ -42,7 +42,7 @@ fn what_a_run_takes_is_estimated_within_a_factor_of_two() {
         settings.camera.spacing_px = 0.1;
         let mut trainer = Trainer::new(scene, settings, &Device::flex()).expect("a trainer");
         // Blur begins after 50 iterations.
-        for _ in 0..60 {
+        for _ in 0..55 {
             trainer.step().expect("a step");
         }
         let need = trainer.memory_need(trainer.model().num_gaussians());
