@@ -40,6 +40,7 @@ fn what_a_run_takes_is_estimated_within_a_factor_of_two() {
         settings.blur.model = blur;
         settings.camera.samples = samples;
         settings.camera.spacing_px = 0.1;
+        settings.camera.lens_spacing_px = 0.1;
         let mut trainer = Trainer::new(scene, settings, &Device::flex()).expect("a trainer");
         // Blur begins after 50 iterations.
         for _ in 0..55 {

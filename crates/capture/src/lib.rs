@@ -32,5 +32,5 @@ mod taken;
 
 pub use capture::Capture;
 pub use motion::{RIGID, moved, shift_in_image, shift_of, turn_of, turns};
-pub use samples::{GOLDEN_ANGLE, Sample, samples, samples_for};
+pub use samples::{BlurSize, GOLDEN_ANGLE, Sample, Spacing, samples, samples_for};
 pub use taken::Taken;

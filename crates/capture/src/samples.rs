@@ -93,17 +93,39 @@ fn match_exposure(all: &mut [Sample]) {
     }
 }
 
-/// How many samples a blur wants that is a disc of diameter `disc_px` drawn along a path of `path_px`, at a distance of
-/// `spacing_px` from each other: from 1, where both are under half of it, up to `limit`.
+/// A blur: a disc drawn along a path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlurSize {
+    /// Length of the path, px.
+    pub path_px: f64,
+    /// Diameter of the disc, px.
+    pub disc_px: f64,
+}
+
+/// Distance of samples from each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spacing {
+    /// Along a path, px. A row of samples has the mean and the variance of its path whatever their number, so that they may lie
+    /// farther apart than on a disc, which they cover in two directions.
+    pub path_px: f64,
+    /// On a disc, px.
+    pub disc_px: f64,
+}
+
+/// How many samples a blur wants: from 1, where both its parts are under half of their spacing, up to `limit`.
 #[must_use]
-pub fn samples_for(path_px: f64, disc_px: f64, spacing_px: f64, limit: usize) -> usize {
-    let (length, disc) = (path_px / spacing_px, disc_px / spacing_px);
+pub fn samples_for(blur: BlurSize, spacing: Spacing, limit: usize) -> usize {
+    let (length, disc) = (
+        blur.path_px / spacing.path_px,
+        blur.disc_px / spacing.disc_px,
+    );
     let longest = length.max(disc);
     if longest.is_nan() || longest <= 0.5 {
         return 1;
     }
     // The area that is covered, with one row of samples where it is a line.
-    let count = length + disc * length + 0.25 * PI * disc * disc;
+    let swept = disc * blur.path_px / spacing.disc_px;
+    let count = length + swept + 0.25 * PI * disc * disc;
     (1 + count.ceil().min(limit as f64) as usize).min(limit.max(1))
 }
 
@@ -161,11 +183,20 @@ mod tests {
 
     #[test]
     fn the_number_of_samples_grows_with_the_blur() {
-        assert_eq!(samples_for(0.0, 0.0, 0.75, 16), 1);
-        assert_eq!(samples_for(0.3, 0.3, 0.75, 16), 1);
-        assert_eq!(samples_for(f64::NAN, 0.0, 0.75, 16), 1);
-        assert_eq!(samples_for(3.0, 0.0, 0.75, 16), 5);
-        assert!(samples_for(3.0, 2.0, 0.75, 64) > samples_for(3.0, 0.0, 0.75, 64));
-        assert!(samples_for(1e300, 1e300, 0.75, 16) == 16);
+        let spacing = Spacing {
+            path_px: 1.5,
+            disc_px: 0.75,
+        };
+        let count =
+            |path_px, disc_px, limit| samples_for(BlurSize { path_px, disc_px }, spacing, limit);
+        assert_eq!(count(0.0, 0.0, 16), 1);
+        assert_eq!(count(0.6, 0.3, 16), 1);
+        assert_eq!(count(f64::NAN, 0.0, 16), 1);
+        assert_eq!(count(6.0, 0.0, 16), 5);
+        // Four cells of a disc 1.5 px wide have an area of pi.
+        assert_eq!(count(0.0, 1.5, 16), 5);
+        // Beside a disc, its rows along the path lie as closely as it does.
+        assert_eq!(count(6.0, 0.75, 64), 1 + 4 + 8 + 1);
+        assert!(count(1e300, 1e300, 16) == 16);
     }
 }

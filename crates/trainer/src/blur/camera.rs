@@ -26,7 +26,9 @@ use crate::tensors::{constant, host, leaf};
 use crate::views::{Views, pose_tensor, poses_of};
 use crate::world::World;
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use capture::{Capture, GOLDEN_ANGLE, RIGID, Sample, Taken, samples, samples_for};
+use capture::{
+    BlurSize, Capture, GOLDEN_ANGLE, RIGID, Sample, Spacing, Taken, samples, samples_for,
+};
 use gauge::Gauge;
 use glam::DAffine3;
 use grown::grown;
@@ -255,6 +257,7 @@ impl CameraBlur {
         let by_both = blur_px > 0.0 && disc_px > 0.0 && self.moments.trials.first() < Some(&it);
         let CameraSettings {
             spacing_px,
+            lens_spacing_px,
             samples,
             ..
         } = self.settings;
@@ -263,7 +266,15 @@ impl CameraBlur {
         } else {
             samples
         };
-        samples_for(blur_px, disc_px, spacing_px, limit).max(LEAST_SAMPLES)
+        let blur = BlurSize {
+            path_px: blur_px,
+            disc_px,
+        };
+        let spacing = Spacing {
+            path_px: spacing_px,
+            disc_px: lens_spacing_px,
+        };
+        samples_for(blur, spacing, limit).max(LEAST_SAMPLES)
     }
 
     /// See [`super::BlurModel::taken`].

@@ -80,8 +80,10 @@ pub struct CameraSettings {
     /// A frame is averaged from at most so many renders, 2 to 64, and from twice as many, up to 16, where a path and points of a lens
     /// blur it, once the first trial has left both in.
     pub samples: usize,
-    /// Distance of the samples from each other in the image, px.
+    /// Distance of the samples from each other along a path, px.
     pub spacing_px: f64,
+    /// The same on a disc, px.
+    pub lens_spacing_px: f64,
     /// How a picture's values stand for light.
     pub transfer: TransferKind,
     /// Length of every path at the start, in pixels of a picture 256 wide.
@@ -108,7 +110,8 @@ impl Default for CameraSettings {
             disc: DiscKind::Points,
             path_degree: 2,
             samples: 8,
-            spacing_px: 0.75,
+            spacing_px: 1.5,
+            lens_spacing_px: 0.75,
             transfer: TransferKind::Srgb,
             start_px: 2.0,
             aperture: 0.0125,

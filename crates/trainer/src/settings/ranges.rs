@@ -129,6 +129,7 @@ impl Settings {
             ),
             (l.short_run_boost, "learning_rates.short_run_boost"),
             (c.spacing_px, "camera.spacing_px"),
+            (c.lens_spacing_px, "camera.lens_spacing_px"),
             (l.camera_final_share, "learning_rates.camera_final_share"),
         ];
         for (value, key) in positive {
