@@ -90,7 +90,12 @@ pub fn gather(
         scene: scene.clone(),
         rows: rows(study, &arms, &of_scene(&cases, &finished, scene)),
     };
-    let scenes: Vec<SceneTable> = study.scenes.iter().map(table).collect();
+    let mut scenes: Vec<SceneTable> = study.scenes.iter().map(table).collect();
+    if earlier.is_empty() {
+        // All runs are of one program, which stands at the head.
+        let rows = scenes.iter_mut().flat_map(|table| &mut table.rows);
+        rows.for_each(|row| row.programs.clear());
+    }
     Ok(Report {
         study: name.to_owned(),
         title: study.title.clone(),

@@ -52,7 +52,7 @@ impl Kept {
             row.cells.get(column)?.values.get(&case.seed).copied()
         };
         let program = row.programs.get(&case.seed).cloned();
-        // Reports of one program need not say it of every run.
+        // Reports of one program do not say it of every run.
         let only = || {
             let is_only = self.report.earlier.is_empty();
             is_only.then(|| self.report.origin.program())

@@ -125,7 +125,7 @@ pub struct Row {
     pub scenes: usize,
     /// How many of its runs are finished.
     pub runs: usize,
-    /// What made them, by seed, where that is known.
+    /// What made them, by seed, where runs are of several programs and that is known.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub programs: BTreeMap<u64, String>,
     /// Whether a gain may be between runs of two programs.

@@ -82,7 +82,7 @@ pub struct CameraSettings {
     pub samples: usize,
     /// Distance of the samples from each other along a path, px.
     pub spacing_px: f64,
-    /// The same on a disc, px.
+    /// Distance of the samples from each other on a disc, px.
     pub lens_spacing_px: f64,
     /// How a picture's values stand for light.
     pub transfer: TransferKind,
