@@ -193,7 +193,7 @@ mod tests {
         assert_eq!(count(0.6, 0.3, 16), 1);
         assert_eq!(count(f64::NAN, 0.0, 16), 1);
         assert_eq!(count(6.0, 0.0, 16), 5);
-        // Four cells of a disc 1.5 px wide have an area of pi.
+        // A disc that is two spacings wide has the area of pi cells.
         assert_eq!(count(0.0, 1.5, 16), 5);
         // Beside a disc, its rows along the path lie as closely as it does.
         assert_eq!(count(6.0, 0.75, 64), 1 + 4 + 8 + 1);
