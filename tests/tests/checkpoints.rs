@@ -38,13 +38,18 @@ fn flip(file: &Path, at: usize) {
     fs::write(file, bytes).expect("written");
 }
 
+/// Where the parameters begin in a file, behind the header.
+fn data_in(bytes: &[u8]) -> usize {
+    8 + u64::from_le_bytes(bytes[..8].try_into().expect("8 bytes")) as usize
+}
+
 #[test]
 fn no_changed_bit_of_a_checkpoint_is_believed() {
     let folder = folder();
     trainer().save(folder.path()).expect("saved");
     let file = folder.path().join(CHECKPOINT_FILE);
     let whole = fs::read(&file).expect("a file");
-    let header = 8 + u64::from_le_bytes(whole[..8].try_into().expect("8 bytes")) as usize;
+    let header = data_in(&whole);
     let step = (whole.len() - header) / 200;
     let places = (0..header)
         .step_by(23)
@@ -73,7 +78,8 @@ fn a_damaged_or_missing_checkpoint_costs_one_interval() {
     let run = open(folder.path()).expect("whole");
     assert!(run.iteration() == 1 && run.setback().is_none(), "the last");
 
-    flip(&last, 5000);
+    let data = data_in(&fs::read(&last).expect("a file"));
+    flip(&last, data + 500);
     let run = open(folder.path()).expect("the one before");
     assert_eq!(run.iteration(), 0);
     let said = with_causes(run.setback().expect("it says so"));
@@ -99,7 +105,7 @@ fn a_damaged_or_missing_checkpoint_costs_one_interval() {
 
     fs::copy(&before, &last).expect("copied");
     flip(&last, 100);
-    flip(&before, 6000);
+    flip(&before, data + 1500);
     let error = open(folder.path()).expect_err("both are damaged");
     let said = with_causes(&error);
     for name in [CHECKPOINT_FILE, PREVIOUS_CHECKPOINT_FILE, "new run"] {
