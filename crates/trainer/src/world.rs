@@ -139,12 +139,11 @@ impl World {
     /// nothing moves.
     #[must_use]
     pub fn exposed_at(&self, times: &Tensor<1>, known: &[f64]) -> Option<Movers> {
-        let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0)?;
-        let means = self.dynamic_means();
         let MotionModel {
             bases,
             coefficients,
-        } = motion;
+        } = self.used_motion()?;
+        let means = self.dynamic_means();
         let (means, left_rotations) = bases.exposed_at(coefficients, &means, times, known);
         Some(Movers {
             means,
@@ -242,15 +241,20 @@ impl World {
         copy
     }
 
+    /// The motion; `None` where nothing moves by it.
+    fn used_motion(&self) -> Option<&MotionModel> {
+        self.motion.as_ref().filter(|_| self.num_dynamic > 0)
+    }
+
     /// Number of motion bases; 0 where nothing moves.
     pub(crate) fn num_bases(&self) -> usize {
-        let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0);
+        let motion = self.used_motion();
         motion.map_or(0, |motion| motion.bases.num_bases())
     }
 
     /// The motion as plain arrays; `None` where nothing moves.
     pub(crate) fn motion_arrays(&self) -> Option<MotionArrays> {
-        let motion = self.motion.as_ref().filter(|_| self.num_dynamic > 0)?;
+        let motion = self.used_motion()?;
         Some(MotionArrays {
             num_frames: motion.bases.num_frames,
             num_bases: motion.bases.num_bases(),

@@ -255,24 +255,19 @@ impl CameraBlur {
         }
         // Before the first trial a lens and paths are only supposed.
         let by_both = blur_px > 0.0 && disc_px > 0.0 && self.moments.trials.first() < Some(&it);
-        let CameraSettings {
-            spacing_px,
-            lens_spacing_px,
-            samples,
-            ..
-        } = self.settings;
+        let settings = &self.settings;
         let limit = if by_both {
-            self.settings.most_samples()
+            settings.most_samples()
         } else {
-            samples
+            settings.samples
         };
         let blur = BlurSize {
             path_px: blur_px,
             disc_px,
         };
         let spacing = Spacing {
-            path_px: spacing_px,
-            disc_px: lens_spacing_px,
+            path_px: settings.spacing_px,
+            disc_px: settings.lens_spacing_px,
         };
         samples_for(blur, spacing, limit).max(LEAST_SAMPLES)
     }
