@@ -90,6 +90,21 @@ pub fn quick_devices() -> Vec<(&'static str, Device)> {
     devices
 }
 
+/// Those of [`quick_devices`] but ndarray, which takes three times as long as flex: for what hundreds of steps decide, where
+/// backends differ by no more than rounding (`training_devices` holds whole steps together, and other tests their parts).
+#[must_use]
+pub fn devices_for_long_trainings() -> Vec<(&'static str, Device)> {
+    let mut devices = quick_devices();
+    devices.retain(|(name, _)| {
+        let is_slow = *name == "ndarray";
+        if is_slow {
+            skipped_once("a long training, which flex and GPUs make");
+        }
+        !is_slow
+    });
+    devices
+}
+
 /// Whether a backend's device is a GPU that a CPU plays.
 fn is_software(name: &str) -> bool {
     RUNTIMES.contains(&name) && gpu(name).is_ok_and(|gpu| gpu.is_software)

@@ -1,5 +1,6 @@
 //! What ARCHITECTURE.md promises about manifests and sources, checked.
 
+use limpid_tests::skipped;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -231,18 +232,22 @@ fn burn_is_pinned_and_its_default_features_are_off() {
 fn no_crate_turns_fusion_or_autotune_on() {
     // Features unite over the whole workspace, so that one careless dependency would do it for all.
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    for (backends, crate_of_its) in [("", "burn-flex v"), ("limpid/wgpu", "burn-wgpu v")] {
+    for (backend, crate_of_its) in [("flex", "burn-flex v"), ("wgpu", "burn-wgpu v")] {
         let output = Command::new(&cargo)
             .args(["tree", "--workspace", "--offline", "--edges", "features"])
-            .args(["--prefix", "none", "--features", backends])
+            .args(["--prefix", "none", "--features"])
+            .arg(format!("limpid/{backend}"))
             .current_dir(root())
             .output()
             .expect("cargo runs");
-        assert!(
-            output.status.success(),
-            "cargo tree: {}",
-            String::from_utf8_lossy(&output.stderr)
-        );
+        let said = String::from_utf8_lossy(&output.stderr);
+        // A machine that has never built for a GPU has none of its crates, and need not fetch them for this.
+        if backend == "wgpu" && said.contains("--offline was specified") {
+            let why = "the crates of wgpu were never downloaded here";
+            skipped("no_crate_turns_fusion_or_autotune_on", why);
+            continue;
+        }
+        assert!(output.status.success(), "cargo tree: {said}");
         let tree = String::from_utf8_lossy(&output.stdout);
         assert!(tree.contains(crate_of_its), "no {crate_of_its} in the tree");
         for line in tree.lines() {

@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device, Tensor};
 use capture::{Capture, samples, shift_of};
 use glam::{DAffine3, DVec3};
 use io::{Frame, Image, Map, Scene, View};
-use limpid_tests::{noise, quick_devices, tensor, values, wall};
+use limpid_tests::{devices_for_long_trainings, noise, quick_devices, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
 use trainer::settings::{BlurKind, DiscKind, When};
 use trainer::{BlurFigures, CameraFigures, Settings, Trainer};
@@ -158,7 +158,7 @@ fn a_lens_is_found_beside_paths_where_it_is() {
 fn what_the_first_trial_decides_is_said() {
     use When::{Always, Auto, Never};
     let motion_blur = ": motion blur is modelled, and no defocus";
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         for (shake, [path, lens], decision, stay) in [
             (0.12, [Auto, Auto], motion_blur, [true, false]),
             (0.0, [Auto, Auto], ": no blur is modelled", [false, false]),
@@ -210,7 +210,7 @@ fn what_the_first_trial_decides_is_said() {
 /// Also where discs take no samples: Gaussians that grow, and layers of a sharp render.
 #[test]
 fn a_lens_is_found_by_whatever_makes_its_discs() {
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         for disc in [DiscKind::Grown, DiscKind::Layers] {
             let mut settings = settings(3000, BlurKind::Camera);
             settings.camera.disc = disc;
@@ -234,7 +234,7 @@ fn a_lens_is_found_by_whatever_makes_its_discs() {
 /// In a short run no frame has found its focus by then, and a lens that is in focus at the wall in every frame explains little.
 #[test]
 fn before_a_lens_goes_its_focus_is_tried_out() {
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         let mut settings = settings(200, BlurKind::Camera);
         settings.camera.path = When::Never;
         settings.camera.aperture = 0.09;
@@ -272,7 +272,7 @@ fn before_a_lens_goes_its_focus_is_tried_out() {
 /// soft by themselves.
 #[test]
 fn a_scene_that_is_soft_everywhere_has_no_lens_for_it() {
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         let mut scene = scene(0.0, 0.0, &device);
         for frame in &mut scene.frames {
             soften(&mut frame.view.image);
@@ -290,7 +290,7 @@ fn a_scene_that_is_soft_everywhere_has_no_lens_for_it() {
 /// A lens would blur what the path leaves over, but as much at every depth.
 #[test]
 fn paths_that_curl_have_no_lens_for_it() {
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         let scene = filmed(&[0.0; FRAMES], [0.12, 0.02], 0.0, &device);
         let mut settings = settings(3000, BlurKind::Camera);
         // With this one frames explain less by 4.0 to 7.2 % if they lose it, however soft the scene, and by 1.5 % at most where each
@@ -323,7 +323,7 @@ fn a_scene_that_drifts_is_not_moved_by_paths() {
     const LONG: usize = 16;
     let wave = |i: usize| (2.0 * std::f64::consts::PI * (i as f64 + 0.5) / LONG as f64).cos();
     let drift: Vec<f64> = (0..LONG).map(|i| 0.8 * wave(i)).collect();
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         for (shake, moves) in [(0.0, false), (0.12, true)] {
             let scene = filmed(&drift, [shake, 0.0], 0.0, &device);
             let mut settings = settings(3000, BlurKind::Camera);

@@ -96,6 +96,23 @@ fn expected_loss(iterations: usize) -> &'static str {
     }
 }
 
+/// What runs of these lengths would take, by the first iterations of one; the trainer has made them then.
+pub(crate) fn foretell(trainer: &mut Trainer, lengths: &[usize]) -> Result<Vec<f64>, Failure> {
+    let mut seconds = Vec::with_capacity(WARM + TIMED);
+    for _ in 0..WARM + TIMED {
+        let before = Instant::now();
+        trainer.step()?;
+        seconds.push(before.elapsed().as_secs_f64());
+    }
+    let sharp = seconds[WARM..].iter().sum::<f64>() / TIMED as f64;
+    let frames = trainer.run().views().train.len();
+    let one = |length: &usize| {
+        let course = trainer.course(*length)?;
+        Ok(Tried::foretold(sharp, &course, frames).seconds(*length, &course))
+    };
+    lengths.iter().map(one).collect()
+}
+
 /// Seconds that parts of a run take, as tried.
 #[derive(Clone, Copy, Debug)]
 struct Tried {
@@ -132,7 +149,12 @@ impl Tried {
         Ok(Self { ending, ..tried })
     }
 
-    /// By the seconds of the first iterations of such a run.
+    /// By the seconds of an iteration before blur is modelled.
+    fn foretold(sharp: f64, course: &Course, frames: usize) -> Self {
+        Self::by(&[sharp], course, frames)
+    }
+
+    /// By the seconds of the first iterations of such a run; those of parts that these do not reach are foretold.
     fn by(seconds: &[f64], course: &Course, frames: usize) -> Self {
         let done = seconds.len();
         let from = course.blurred_from.unwrap_or(done).min(done);
@@ -144,7 +166,7 @@ impl Tried {
         };
         let blurred = mean(from, trial.unwrap_or(done)).filter(|_| from < done);
         let sharp = mean(0, from).or(blurred).unwrap_or(0.0);
-        let blurred = blurred.unwrap_or(sharp);
+        let blurred = blurred.unwrap_or(sharp * course.blurred_pace);
         let settled = trial.and_then(|t| mean(t + 1, done)).unwrap_or(blurred);
         let trial = trial.map(|t| (seconds[t] - settled).max(0.0));
         Self {
@@ -200,12 +222,14 @@ fn largest(
     Ok(low)
 }
 
-/// Tells behind the first iterations of a run, of its part with blur and of that behind its first trial how long it will take.
+/// Tells behind the first iterations of a run how long it will take, about, and then of its part with blur and of that behind its
+/// first trial, as measured.
 pub(crate) struct Forecast {
     /// The iterations behind which these parts begin, the next one last.
     parts: Vec<usize>,
-    /// The iterations behind which there is a trial.
-    trials: Vec<usize>,
+    course: Course,
+    /// How many frames a trial looks at; `None` where a law for the CPU says nothing.
+    frames: Option<usize>,
     /// When the iteration before was over.
     before: Option<Instant>,
     /// When the first iterations of the part were over.
@@ -218,18 +242,25 @@ pub(crate) struct Forecast {
 }
 
 impl Forecast {
-    /// Of a run as it is now.
+    /// Of a run as it is now, and its memory where it trains on the CPU.
     pub(crate) fn new(trainer: &Trainer, memory: Option<u64>) -> Result<Self, Failure> {
         let iterations = trainer.settings().iterations;
+        let frames = memory.map(|_| trainer.run().views().train.len());
         let memory = memory.map_or_else(String::new, |bytes| {
             format!(", and {} MiB of memory at most", bytes >> 20)
         });
         let course = trainer.course(iterations)?;
-        Ok(Self::of(trainer.iteration(), iterations, course, memory))
+        let (done, length) = (trainer.iteration(), (iterations, frames));
+        Ok(Self::of(done, length, course, memory))
     }
 
-    /// Of a run of so many iterations that begins, or goes on, behind `done`.
-    fn of(done: usize, iterations: usize, course: Course, memory: String) -> Self {
+    /// Of a run of so many iterations, of so many frames, that begins, or goes on, behind `done`.
+    fn of(
+        done: usize,
+        (iterations, frames): (usize, Option<usize>),
+        course: Course,
+        memory: String,
+    ) -> Self {
         let mut parts = vec![done];
         let first_trial = course.trials.first().map(|trial| trial + 1);
         for part in course.blurred_from.into_iter().chain(first_trial) {
@@ -240,7 +271,8 @@ impl Forecast {
         parts.reverse();
         Self {
             parts,
-            trials: course.trials,
+            course,
+            frames,
             before: None,
             warm: None,
             trial: 0.0,
@@ -249,10 +281,17 @@ impl Forecast {
         }
     }
 
+    /// Seconds of what is left behind an iteration before blur is modelled, by what those before it took; `None` off the CPU.
+    fn foretold(&self, pace: f64, iteration: usize) -> Option<f64> {
+        let all = Tried::foretold(pace, &self.course, self.frames?);
+        Some(all.seconds(self.iterations, &self.course) - pace * iteration as f64)
+    }
+
     /// After an iteration, at some moment: a line where there is something to tell.
     pub(crate) fn after(&mut self, iteration: usize, now: Instant) -> Option<String> {
         let before = self.before.replace(now);
-        if self.trials.contains(&(iteration - 1)) {
+        let trials = &self.course.trials;
+        if trials.contains(&(iteration - 1)) {
             self.trial = before.map_or(0.0, |before| (now - before).as_secs_f64());
         }
         let part = *self.parts.last()?;
@@ -264,17 +303,26 @@ impl Forecast {
         }
         self.parts.pop();
         let pace = (now - self.warm?).as_secs_f64() / TIMED as f64;
-        let trials = self.trials.iter().filter(|trial| **trial >= iteration);
+        let ahead = trials.iter().filter(|trial| **trial >= iteration);
         let iterating = pace * self.iterations.saturating_sub(iteration) as f64;
-        let left = duration(iterating + self.trial * trials.count() as f64);
+        let left = duration(iterating + self.trial * ahead.count() as f64);
         let threads = rayon::current_num_threads();
         let memory = std::mem::take(&mut self.memory);
         let paced = format!("on {threads} threads, at {pace:.3} s an iteration");
         Some(match self.parts.last() {
-            Some(next) if !self.trials.contains(&(next - 1)) => format!(
-                "expects at least {left} {paced}, more once blur is modelled (from iteration {} on){memory}",
-                next + 1
-            ),
+            Some(next) if !trials.contains(&(next - 1)) => {
+                let from = next + 1;
+                match self.foretold(pace, iteration) {
+                    Some(all) => format!(
+                        "expects about {} {paced} and about {:.1} times that once blur is modelled (from iteration {from} on){memory}",
+                        duration(all),
+                        self.course.blurred_pace,
+                    ),
+                    None => format!(
+                        "expects at least {left} {paced}, more once blur is modelled (from iteration {from} on){memory}"
+                    ),
+                }
+            }
             Some(next) => format!(
                 "expects about {left} more {paced}, until a trial finds what blurs these frames (iteration {next}){memory}"
             ),
@@ -296,6 +344,7 @@ mod tests {
         let from = 250.min(n / 4);
         Course {
             blurred_from: Some(from),
+            blurred_pace: 3.0,
             trials: vec![from + 80, from + 160],
         }
     }
@@ -331,6 +380,7 @@ mod tests {
         assert!(tried.trial > 1.0, "{tried:?}");
         let never = Course {
             blurred_from: None,
+            blurred_pace: 1.0,
             trials: Vec::new(),
         };
         let tried = Tried::by(&timed(25, &never), &never, 16);
@@ -352,7 +402,7 @@ mod tests {
     #[test]
     fn a_run_tells_what_it_will_take_once_a_part() {
         let start = Instant::now();
-        let mut forecast = Forecast::of(0, 1000, course(1000), String::new());
+        let mut forecast = Forecast::of(0, (1000, None), course(1000), String::new());
         let mut now = start;
         let mut said = Vec::new();
         for it in 1..=1000 {
@@ -380,8 +430,21 @@ mod tests {
             said[2].0 > 331 && said[2].1.contains("about 36 s more"),
             "{said:?}"
         );
+        // The same where a law says what blur will cost: 225 iterations, 750 with blur and two trials of 16 frames.
+        let mut forecast = Forecast::of(0, (1000, Some(16)), course(1000), String::new());
+        let mut now = start;
+        let mut first = (1..=25).filter_map(|it| {
+            now += Duration::from_millis(20);
+            forecast.after(it, now)
+        });
+        let first = first.next().expect("a line");
+        let law = "at 0.020 s an iteration and about 3.0 times that once blur is modelled";
+        assert!(
+            first.contains("expects about 57 s") && first.contains(law),
+            "{first}"
+        );
         // What goes on behind all of that has one part.
-        let later = Forecast::of(600, 1000, course(1000), String::new());
+        let later = Forecast::of(600, (1000, None), course(1000), String::new());
         assert_eq!(later.parts, [600]);
     }
 }

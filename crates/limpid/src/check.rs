@@ -1,13 +1,18 @@
 //! `limpid check`: what a scene holds, and whether that can be right.
 
+use crate::budget;
 use crate::config::{Config, Distortion, RunOptions};
 use crate::failure::{Failure, with_causes};
+use crate::memory;
+use crate::preset::Preset;
+use crate::progress::duration;
 use crate::say::{conclude, print, say};
+use clap::ValueEnum as _;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use trainer::Settings;
 use trainer::check::{Finding, Verdict, check};
+use trainer::{Settings, Trainer};
 
 /// Exit codes beside success.
 const DOUBTFUL: u8 = 1;
@@ -30,6 +35,9 @@ pub(crate) struct CheckArguments {
     /// What to do about lens distortion [default: undistort].
     #[arg(long)]
     distortion: Option<Distortion>,
+    /// Also say how long training would take on this machine, and how much memory: tries a run's first iterations.
+    #[arg(long)]
+    time: bool,
 }
 
 pub(crate) fn run(arguments: &CheckArguments) -> Result<ExitCode, Failure> {
@@ -73,7 +81,43 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
     for note in survey.notes.iter().chain(&decided) {
         writeln!(text, "  {note}")?;
     }
+    if arguments.time && code != WRONG {
+        text += &cost(scene, &config)?;
+    }
     Ok((text.trim_end().to_owned(), code))
+}
+
+/// What training would take of time and memory on this machine, by its first iterations.
+fn cost(scene: io::Scene, config: &Config) -> Result<String, Failure> {
+    let device = config.run.backend.device()?;
+    let mut trainer = Trainer::new(scene, config.settings.clone(), &device)?;
+    memory::warn(&trainer, config);
+    let memory = memory::expected(&trainer, config);
+    let presets = Preset::value_variants();
+    let lengths: Vec<usize> = presets
+        .iter()
+        .map(|preset| Ok(preset.settings()?.iterations))
+        .collect::<Result<_, Failure>>()?;
+    let seconds = budget::foretell(&mut trainer, &lengths)?;
+    let mut text = format!(
+        "it would take, about, on {} threads of this machine:\n",
+        rayon::current_num_threads()
+    );
+    for ((preset, length), seconds) in presets.iter().zip(lengths).zip(seconds) {
+        let name = preset
+            .to_possible_value()
+            .expect("a name that can be given");
+        writeln!(
+            text,
+            "  --preset {}, {length} iterations: {}",
+            name.get_name(),
+            duration(seconds)
+        )?;
+    }
+    if let Some(bytes) = memory {
+        writeln!(text, "and {} MiB of memory at most", bytes >> 20)?;
+    }
+    Ok(text)
 }
 
 /// What was found, and what is missing and makes it.

@@ -1,7 +1,9 @@
 //! Presets: what a run may cost, each a file of settings. RESULTS.md, "Presets", has what they give.
 
+use crate::config::{Config, from_table};
 use crate::failure::Failure;
 use toml::Table;
+use trainer::Settings;
 
 /// How much time a run may take for what it gains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -23,25 +25,25 @@ impl Preset {
             Self::Full => include_str!("../presets/full.toml"),
         })?)
     }
+
+    /// All settings with it.
+    pub(crate) fn settings(self) -> Result<Settings, Failure> {
+        Ok(from_table(self.table()?, &Config::of(Settings::default()))?.settings)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Config, from_table};
     use clap::ValueEnum as _;
-    use trainer::{Settings, differences};
+    use trainer::differences;
 
     #[test]
     fn presets_have_settings_that_there_are_and_full_is_what_is_taken_by_default() {
-        let settings = |preset: &Preset| {
-            let table = preset.table().expect("TOML");
-            let config = from_table(table, &Config::of(Settings::default()));
-            config.expect("settings").settings
-        };
-        let all: Vec<Settings> = Preset::value_variants().iter().map(settings).collect();
+        let settings = |preset: Preset| preset.settings().expect("settings");
+        let all = Preset::value_variants().iter().copied().map(settings);
         assert!(all.is_sorted_by_key(|settings| settings.iterations));
-        let full = settings(&Preset::Full);
+        let full = settings(Preset::Full);
         assert!(differences(&full, &Settings::default()).is_empty());
     }
 }

@@ -24,11 +24,14 @@ pub struct Kept {
     state: State,
 }
 
-/// When the costly parts of a run come.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// When the costly parts of a run come, and how costly they are.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Course {
     /// Frames are blurred after this iteration; `None` where blur is not modelled.
     pub blurred_from: Option<usize>,
+    /// An iteration behind that takes so many times as long as one before it, within a factor of two: fitted to what runs took on the
+    /// CPU (RESULTS.md, "Time foretold").
+    pub blurred_pace: f64,
     /// Every frame is looked at in several ways after each of these iterations.
     pub trials: Vec<usize>,
 }
@@ -92,11 +95,13 @@ impl Trainer {
     /// # Errors
     /// There is no blur model for such views.
     pub fn course(&self, iterations: usize) -> Result<Course, TrainError> {
-        let blur = self.untrained_blur(&self.settings_of(iterations))?;
+        let settings = self.settings_of(iterations);
+        let blur = self.untrained_blur(&settings)?;
         let moments = blur.moments();
         let is_trial = |moment: &usize| *moment < iterations && blur.revises(*moment);
         Ok(Course {
             blurred_from: moments.first().copied(),
+            blurred_pace: blurred_pace(&blur, &settings),
             trials: moments.iter().copied().filter(is_trial).collect(),
         })
     }
@@ -135,5 +140,23 @@ impl Trainer {
     fn untrained_blur(&self, settings: &Settings) -> Result<BlurModel, TrainError> {
         let Run { plan, device, .. } = &self.run;
         BlurModel::new(settings, &plan.survey, &plan.views, (device, DType::F32))
+    }
+}
+
+/// Each render that a frame is averaged from, of iterations without one.
+const RENDER: f64 = 1.0 / 3.0;
+/// BP-Net, at the frames' own resolution.
+const NET: f64 = 1.8;
+
+/// How many times as long as without it an iteration takes with a model of blur, about.
+fn blurred_pace(blur: &BlurModel, settings: &Settings) -> f64 {
+    let camera = RENDER * settings.camera.samples as f64;
+    let net = NET / settings.blur.downscale as f64;
+    match blur {
+        BlurModel::Off => 1.0,
+        BlurModel::Kernels(_) => 1.0 + net,
+        // Kernels over the camera begin in the middle of a run.
+        BlurModel::Camera(_) => 1.0 + camera,
+        BlurModel::Both(_) => 1.0 + camera + 0.5 * net,
     }
 }
