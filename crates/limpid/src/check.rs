@@ -58,33 +58,45 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
         distortion: arguments.distortion.unwrap_or_default(),
         ..RunOptions::default()
     };
-    let settings = Settings::default();
     let config = Config {
         run,
-        ..Config::of(settings.clone())
+        ..Config::of(Settings::default())
     };
-    let mut scene = config.open_scene()?;
+    let scene = config.open_scene()?;
     let mut text = inventory(&scene)?;
     let findings = check(&scene);
     for finding in &findings {
         writeln!(text, "{}", line(finding))?;
     }
     let worst = findings.iter().map(|f| f.verdict).max();
-    let code = match worst {
+    let mut code = match worst {
         Some(Verdict::Wrong) => WRONG,
         Some(Verdict::Doubtful) => DOUBTFUL,
         _ => 0,
     };
-    writeln!(text, "training would go by this:")?;
-    let survey = trainer::survey(&mut scene, settings.motion.when)?;
-    let decided = survey.decided(&settings);
+    match prospects(scene, &config, arguments.time && code != WRONG) {
+        Ok(prospects) => text += &prospects,
+        Err(error) => {
+            let (verdict, why) = (Verdict::Wrong, with_causes(&*error));
+            writeln!(text, "{verdict:>14}  training cannot begin: {why}")?;
+            code = WRONG;
+        }
+    }
+    Ok((text.trim_end().to_owned(), code))
+}
+
+/// What training would go by and, if that is asked, what it would take.
+fn prospects(mut scene: io::Scene, config: &Config, of_cost: bool) -> Result<String, Failure> {
+    let mut text = "training would go by this:\n".to_owned();
+    let survey = trainer::survey(&mut scene, config.settings.motion.when)?;
+    let decided = survey.decided(&config.settings);
     for note in survey.notes.iter().chain(&decided) {
         writeln!(text, "  {note}")?;
     }
-    if arguments.time && code != WRONG {
-        text += &cost(scene, &config)?;
+    if of_cost {
+        text += &cost(scene, config)?;
     }
-    Ok((text.trim_end().to_owned(), code))
+    Ok(text)
 }
 
 /// What training would take of time and memory on this machine, by its first iterations.

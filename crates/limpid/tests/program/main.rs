@@ -349,6 +349,16 @@ fn a_scene_is_checked_by_itself_and_before_it_is_trained_on() -> Outcome {
     assert_eq!(checked.status.code(), Some(2), "{said}");
     assert!(said.contains("wrong  masks"), "{said}");
 
+    let flat = folder.path().join("flat");
+    copy(Path::new(DEMO), &flat)?;
+    fs::remove_dir_all(flat.join("flow3d_preprocessed/aligned_depth_anything_colmap"))?;
+    let checked = output(&["check", path(&flat), "--time"])?;
+    let said = text(&checked.stdout);
+    assert_eq!(checked.status.code(), Some(2), "{said}");
+    for part in ["depth maps: none", "training cannot begin", "--static"] {
+        assert!(said.contains(part), "{said}");
+    }
+
     let out = folder.path().join("run");
     let train = ["train", "--scene", path(&wrong), "--out", path(&out)];
     let short = ["--downscale", "5", "--iterations", "200", "--blur", "off"];
