@@ -112,7 +112,7 @@ fn cost(scene: io::Scene, config: &Config) -> Result<String, Failure> {
         .collect::<Result<_, Failure>>()?;
     let seconds = budget::foretell(&mut trainer, &lengths)?;
     let mut text = format!(
-        "it would take, about, on {} threads of this machine:\n",
+        "training itself would take, about, on {} threads of this machine:\n",
         rayon::current_num_threads()
     );
     for ((preset, length), seconds) in presets.iter().zip(lengths).zip(seconds) {
