@@ -308,7 +308,9 @@ fn a_check_says_what_presets_would_take_if_it_is_asked() -> Outcome {
     let checked = output(&["check", DEMO, "--downscale", "5", "--time"])?;
     let said = text(&checked.stdout);
     assert_eq!(checked.status.code(), Some(0), "{said}");
-    let (_, told) = said.split_once("training itself would take").ok_or("no time")?;
+    let (_, told) = said
+        .split_once("training itself would take")
+        .ok_or("no time")?;
     let presets = told.lines().filter(|line| line.contains("--preset "));
     assert_eq!(presets.count(), 3, "{told}");
     assert!(told.contains("--preset draft, 500 iterations: "), "{told}");
