@@ -144,7 +144,7 @@ pub fn settings() -> Settings {
         iterations: 200,
         ..Settings::default()
     };
-    // A quarter of what there is by default: a GPU that a CPU plays takes as much less time.
+    // A quarter of what there is by default: a GPU that a CPU plays takes a fifth less time.
     settings.gaussians.initial_static_per_pixel = 0.5;
     settings.motion.num_bases = 4;
     settings.motion.first_fit_steps = 40;

@@ -98,19 +98,24 @@ fn expected_loss(iterations: usize) -> &'static str {
 
 /// What runs of these lengths would take, by the first iterations of one; the trainer has made them then.
 pub(crate) fn foretell(trainer: &mut Trainer, lengths: &[usize]) -> Result<Vec<f64>, Failure> {
-    let mut seconds = Vec::with_capacity(WARM + TIMED);
-    for _ in 0..WARM + TIMED {
+    let seconds = timed(trainer, WARM + TIMED)?;
+    let frames = trainer.run().views().train.len();
+    let one = |length: &usize| {
+        let course = trainer.course(*length)?;
+        Ok(Tried::by(&seconds, &course, frames).seconds(*length, &course))
+    };
+    lengths.iter().map(one).collect()
+}
+
+/// Trains so many iterations, and says how many seconds each took.
+fn timed(trainer: &mut Trainer, iterations: usize) -> Result<Vec<f64>, Failure> {
+    let mut seconds = Vec::with_capacity(iterations);
+    for _ in 0..iterations {
         let before = Instant::now();
         trainer.step()?;
         seconds.push(before.elapsed().as_secs_f64());
     }
-    let sharp = seconds[WARM..].iter().sum::<f64>() / TIMED as f64;
-    let frames = trainer.run().views().train.len();
-    let one = |length: &usize| {
-        let course = trainer.course(*length)?;
-        Ok(Tried::foretold(sharp, &course, frames).seconds(*length, &course))
-    };
-    lengths.iter().map(one).collect()
+    Ok(seconds)
 }
 
 /// Seconds that parts of a run take, as tried.
@@ -131,12 +136,7 @@ struct Tried {
 impl Tried {
     /// Trains so many iterations, and looks at a view.
     fn of(trainer: &mut Trainer, iterations: usize, course: &Course) -> Result<Self, Failure> {
-        let mut seconds = Vec::with_capacity(iterations);
-        for _ in 0..iterations {
-            let before = Instant::now();
-            trainer.step()?;
-            seconds.push(before.elapsed().as_secs_f64());
-        }
+        let seconds = timed(trainer, iterations)?;
         let views = trainer.run().views();
         let before = Instant::now();
         trainer.run().render_training_view(views.train.len() / 2)?;
@@ -147,11 +147,6 @@ impl Tried {
             tried.settled *= KERNELS_ON_TOP;
         }
         Ok(Self { ending, ..tried })
-    }
-
-    /// By the seconds of an iteration before blur is modelled.
-    fn foretold(sharp: f64, course: &Course, frames: usize) -> Self {
-        Self::by(&[sharp], course, frames)
     }
 
     /// By the seconds of the first iterations of such a run; those of parts that these do not reach are foretold.
@@ -283,7 +278,7 @@ impl Forecast {
 
     /// Seconds of what is left behind an iteration before blur is modelled, by what those before it took; `None` off the CPU.
     fn foretold(&self, pace: f64, iteration: usize) -> Option<f64> {
-        let all = Tried::foretold(pace, &self.course, self.frames?);
+        let all = Tried::by(&[pace], &self.course, self.frames?);
         Some(all.seconds(self.iterations, &self.course) - pace * iteration as f64)
     }
 
@@ -350,7 +345,7 @@ mod tests {
     }
 
     /// Of a machine with these seconds an iteration, which warms up at the beginning of each part.
-    fn timed(iterations: usize, course: &Course) -> Vec<f64> {
+    fn paced(iterations: usize, course: &Course) -> Vec<f64> {
         let second = |it: usize| {
             let from = course.blurred_from.unwrap_or(usize::MAX);
             let trial = course.trials.first().copied().unwrap_or(usize::MAX);
@@ -369,13 +364,13 @@ mod tests {
 
     #[test]
     fn paces_come_back_from_what_was_timed() {
-        let tried = Tried::by(&timed(400, &course(1000)), &course(1000), 16);
+        let tried = Tried::by(&paced(400, &course(1000)), &course(1000), 16);
         let found = [tried.sharp, tried.blurred, tried.settled, tried.trial];
         for (found, expected) in found.iter().zip([0.02, 0.08, 0.05, 3.95]) {
             assert!((found - expected).abs() < 1e-9, "{tried:?}");
         }
         // Before a trial is timed, what follows is taken to be as dear as what was seen.
-        let tried = Tried::by(&timed(75, &course(200)), &course(200), 16);
+        let tried = Tried::by(&paced(75, &course(200)), &course(200), 16);
         assert!((tried.settled - 0.08).abs() < 1e-9, "{tried:?}");
         assert!(tried.trial > 1.0, "{tried:?}");
         let never = Course {
@@ -383,14 +378,14 @@ mod tests {
             blurred_pace: 1.0,
             trials: Vec::new(),
         };
-        let tried = Tried::by(&timed(25, &never), &never, 16);
+        let tried = Tried::by(&paced(25, &never), &never, 16);
         assert!((tried.settled - 0.02).abs() < 1e-9, "{tried:?}");
         assert!((tried.seconds(1000, &never) - 20.0).abs() < 1e-9);
     }
 
     #[test]
     fn the_longest_run_that_fits_is_found() {
-        let tried = Tried::by(&timed(400, &course(1000)), &course(1000), 16);
+        let tried = Tried::by(&paced(400, &course(1000)), &course(1000), 16);
         for seconds in [0.0, 5.0, 60.0, 600.0, 1e9] {
             let fits = |n: usize| tried.seconds(n, &course(n)) <= seconds;
             let found = largest(200, 40_000, |n| Ok(fits(n))).expect("a number");

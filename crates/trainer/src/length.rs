@@ -155,8 +155,8 @@ fn blurred_pace(blur: &BlurModel, settings: &Settings) -> f64 {
     match blur {
         BlurModel::Off => 1.0,
         BlurModel::Kernels(_) => 1.0 + net,
-        // Kernels over the camera begin in the middle of a run.
         BlurModel::Camera(_) => 1.0 + camera,
+        // Kernels over the camera begin in the middle of a run.
         BlurModel::Both(_) => 1.0 + camera + 0.5 * net,
     }
 }
