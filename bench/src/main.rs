@@ -1,12 +1,13 @@
 //! `limpid-bench`: times iterations and how they grow, and writes the results.
 #![allow(clippy::print_stdout, reason = "a program that reports times")]
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use bpnet::Extractor;
 use clap::{Parser, Subcommand};
-use limpid_bench::curves::{Curve, curves, plot};
+use limpid_bench::curves::{Curve, curves, differences, plot};
 use limpid_bench::growth::{sweeps, time_point};
 use limpid_bench::iteration::{Breakdown, breakdown, time_steps, time_workload};
 use limpid_bench::machine::Machine;
@@ -105,9 +106,12 @@ enum Command {
         /// Where the results go.
         #[arg(long, default_value = "out/bench")]
         out: PathBuf,
-        /// Seed of the runs.
+        /// Seed of the first runs.
         #[arg(long, default_value_t = 1)]
         seed: u64,
+        /// So many seeds, one after the other: what backends differ by on the mean.
+        #[arg(long, default_value_t = 1)]
+        seeds: u64,
     },
 }
 
@@ -122,7 +126,7 @@ fn main() -> ExitCode {
             frozen,
             ndarray,
         }) => net([*width, *height], *repeats, *frozen, *ndarray),
-        Some(Command::Curves { out, seed }) => all_curves(out, *seed),
+        Some(Command::Curves { out, seed, seeds }) => all_curves(out, *seed..seed.saturating_add(*seeds)),
         Some(Command::Launches {
             width,
             height,
@@ -191,7 +195,7 @@ fn net_device(ndarray: bool) -> Result<Device, Failure> {
     ndarray_device().ok_or_else(|| "build with `--features ndarray`".into())
 }
 
-fn all_curves(out: &Path, seed: u64) -> Result<(), Failure> {
+fn all_curves(out: &Path, seeds: Range<u64>) -> Result<(), Failure> {
     let mut devices = vec![("flex", Device::flex(), 300)];
     devices.extend(ndarray_device().map(|device| ("ndarray", device, 300)));
     if let Ok(gpu) = trainer::Gpu::best("wgpu") {
@@ -204,17 +208,32 @@ fn all_curves(out: &Path, seed: u64) -> Result<(), Failure> {
         Ok(text) => serde_json::from_str(&text)?,
         Err(_) => Vec::new(),
     };
-    for (backend, device, iterations) in devices {
-        eprintln!("{backend}, {iterations} iterations");
-        let found = curves(backend, &device, iterations, seed)?;
-        all.retain(|curve| curve.backend != backend);
-        all.extend(found);
+    std::fs::create_dir_all(out)?;
+    for seed in seeds {
+        for (backend, device, iterations) in &devices {
+            eprintln!("{backend}, seed {seed}, {iterations} iterations");
+            let found = curves(backend, device, *iterations, seed)?;
+            all.retain(|curve| (curve.backend.as_str(), curve.seed) != (*backend, seed));
+            all.extend(found);
+        }
+        // What is there stays, should a later seed be stopped.
+        std::fs::write(&file, serde_json::to_string(&all)?)?;
     }
     for curve in &all {
-        println!("{} {} {:?}", curve.backend, curve.model, curve.psnr);
+        println!(
+            "{} {} seed {} {:?}",
+            curve.backend, curve.model, curve.seed, curve.psnr
+        );
     }
-    std::fs::create_dir_all(out)?;
-    std::fs::write(file, serde_json::to_string(&all)?)?;
+    for of in differences(&all) {
+        let error = of
+            .standard_error
+            .map_or_else(String::new, |error| format!(" ± {error:.2}"));
+        println!(
+            "{} against flex, {}, {} iterations, {} seeds: {:+.2}{error} dB",
+            of.backend, of.model, of.iterations, of.seeds, of.mean
+        );
+    }
     plot(&all, &out.join("curves.svg"))
 }
 

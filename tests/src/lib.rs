@@ -91,7 +91,7 @@ pub fn quick_devices() -> Vec<(&'static str, Device)> {
 }
 
 /// Those of [`quick_devices`] but ndarray, which takes three times as long as flex: for what hundreds of steps decide, where
-/// backends differ by no more than rounding (`training_devices` holds whole steps together, and other tests their parts).
+/// backends differ by no more than rounding (`training/devices.rs` holds whole steps together, and other tests their parts).
 #[must_use]
 pub fn devices_for_long_trainings() -> Vec<(&'static str, Device)> {
     let mut devices = quick_devices();

@@ -1,5 +1,5 @@
 //! What must not change a rendered image, and what its blending weights add up to: properties of the
-//! splatting kernels, in f64 and in f32. (Tensors give the same bits: see splat_core.rs.)
+//! splatting kernels, in f64 and in f32. (Tensors give the same bits: see splat_core/tensors.rs.)
 
 use arbtest::arbitrary::{Result, Unstructured};
 use glam::{DAffine3, DQuat, DVec2, DVec3};

@@ -43,7 +43,7 @@ fn what_a_run_takes_is_estimated_within_a_factor_of_two() {
         settings.camera.lens_spacing_px = 0.1;
         let mut trainer = Trainer::new(scene, settings, &Device::flex()).expect("a trainer");
         // Blur begins after 50 iterations.
-        for _ in 0..55 {
+        for _ in 0..52 {
             trainer.step().expect("a step");
         }
         let need = trainer.memory_need(trainer.model().num_gaussians());

@@ -46,7 +46,16 @@ pub(crate) const STEPS: [Step; 8] = [
     ),
     (
         "bare",
-        &["test", "--package", "splat-core", "--no-default-features"],
+        &[
+            "clippy",
+            "--package",
+            "splat-core",
+            "--no-default-features",
+            "--all-targets",
+            "--",
+            "-D",
+            "warnings",
+        ],
         NOTHING,
     ),
     ("test", &["test", "--workspace"], NOTHING),
@@ -223,10 +232,12 @@ mod tests {
     fn tests_that_ask_for_a_backend_are_found() {
         let tests = backend_tests("wgpu");
         for (name, asks) in [
-            ("training_devices", true),
+            ("training", true),
             ("gpu", true),
-            ("program", true),
+            ("backends", true),
+            ("program", false),
             ("kills", false),
+            ("runs", false),
             ("golden", false),
         ] {
             assert_eq!(

@@ -30,7 +30,7 @@ cargo xtask COMMAND
   fmt            check the formatting
   clippy         lint; a warning is an error
   doc            build the documentation; a warning is an error
-  bare           test splat-core without Burn
+  bare           lint splat-core without Burn
   test           all tests: cargo test --workspace
   ndarray        the tests of tensor code on the second CPU backend
   clippy-gpu     lint what is compiled for a GPU

@@ -101,9 +101,9 @@ const FULL: Sizes = Sizes {
 
 /// Small enough for a GPU that a CPU plays.
 const QUICK: Sizes = Sizes {
-    scene: (64, 36, 1_000),
-    pictures: &[(64, 36), (128, 72)],
-    gaussians: &[1_000, 4_000],
+    scene: (32, 18, 500),
+    pictures: &[(32, 18), (64, 36)],
+    gaussians: &[500, 2_000],
     repeats: 3,
 };
 

@@ -1,7 +1,6 @@
 //! What the program tells about itself.
 
 use std::error::Error;
-use std::io::Write as _;
 use std::process::{Command, Output};
 
 fn output(arguments: &[&str]) -> Result<Output, Box<dyn Error>> {
@@ -15,11 +14,6 @@ fn told(arguments: &[&str]) -> Result<String, Box<dyn Error>> {
     let problem = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(done.status.success(), "{arguments:?}: {problem}");
     Ok(String::from_utf8(done.stdout)?)
-}
-
-/// Says that a test could not run: not through `eprintln!`, which the test harness catches.
-fn skipped(what: &str) -> std::io::Result<()> {
-    std::io::stderr().write_all(format!("skipped: {what}\n").as_bytes())
 }
 
 #[test]
@@ -74,93 +68,6 @@ fn threads_are_one_or_more() -> Result<(), Box<dyn Error>> {
     told(&["devices", "--threads", "3"])?;
     let none = output(&["--threads", "0", "devices"])?;
     assert!(!none.status.success());
-    Ok(())
-}
-
-#[test]
-fn a_backend_that_is_not_built_in_is_an_error_that_says_what_to_do() -> Result<(), Box<dyn Error>> {
-    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
-    let folder = tempfile::tempdir()?;
-    let backends = [
-        ("ndarray", cfg!(feature = "ndarray")),
-        ("wgpu", cfg!(feature = "wgpu")),
-        ("cuda", cfg!(feature = "cuda")),
-    ];
-    for (backend, is_built) in backends {
-        if is_built {
-            skipped(&format!("a build without {backend}: this one has it"))?;
-            continue;
-        }
-        let out = folder.path().join(backend);
-        let tried = Command::new(env!("CARGO_BIN_EXE_limpid"))
-            .args(["train", "--scene", demo, "--backend", backend, "--out"])
-            .arg(&out)
-            .output()?;
-        let said = String::from_utf8_lossy(&tried.stderr);
-        assert_eq!(tried.status.code(), Some(1), "{said}");
-        assert!(!said.contains("panicked"), "{said}");
-        assert!(said.contains(&format!("--features {backend}")), "{said}");
-        assert!(!out.exists(), "{backend}: nothing was begun");
-    }
-    Ok(())
-}
-
-/// Without drivers of Vulkan and EGL there is no adapter, where these can be hidden.
-#[cfg(all(feature = "wgpu", target_os = "linux"))]
-#[test]
-fn a_machine_without_an_adapter_is_an_error_that_says_what_to_do() -> Result<(), Box<dyn Error>> {
-    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
-    let folder = tempfile::tempdir()?;
-    let out = folder.path().join("run");
-    let hidden = |args: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_limpid"));
-        for variable in [
-            "VK_DRIVER_FILES",
-            "VK_ICD_FILENAMES",
-            "__EGL_VENDOR_LIBRARY_FILENAMES",
-        ] {
-            command.env(variable, folder.path().join("none.json"));
-        }
-        command.env_remove("VK_ADD_DRIVER_FILES");
-        command.args(args).output()
-    };
-    let listed = hidden(&["devices"])?;
-    let said = String::from_utf8_lossy(&listed.stdout);
-    assert!(listed.status.success(), "{said}");
-    if !said.contains("wgpu     no adapter") {
-        skipped("a machine without an adapter: its drivers cannot be hidden")?;
-        return Ok(());
-    }
-    let run = out.to_string_lossy();
-    let tried = hidden(&["train", "--scene", demo, "--backend", "wgpu", "--out", &run])?;
-    let said = String::from_utf8_lossy(&tried.stderr);
-    assert_eq!(tried.status.code(), Some(1), "{said}");
-    for part in ["no adapter", "install its driver", "--backend flex"] {
-        assert!(said.contains(part), "{part}: {said}");
-    }
-    assert!(!said.contains("panicked") && !out.exists(), "{said}");
-    Ok(())
-}
-
-/// What there is, with its limits, and whether a scene fits.
-#[cfg(feature = "wgpu")]
-#[test]
-fn devices_are_listed_with_their_limits_and_whether_a_scene_fits() -> Result<(), Box<dyn Error>> {
-    let demo = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
-    let said = told(&["devices", "--scene", demo])?;
-    assert!(said.contains("flex     the CPU"), "{said}");
-    if said.contains("wgpu     no adapter") {
-        skipped("devices and what fits: no adapter")?;
-        return Ok(());
-    }
-    for part in [
-        "a buffer",
-        "buffers a kernel",
-        "units a cube",
-        "the scene fits: with",
-    ] {
-        assert!(said.contains(part), "{part}: {said}");
-    }
     Ok(())
 }
 

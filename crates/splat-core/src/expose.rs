@@ -44,7 +44,7 @@ pub struct Exposed {
 /// `splats` are the Gaussians in the middle of the exposure, and `middle` is the view from there; every sample sees a
 /// Gaussian in the colour in which its middle is seen then, which is exact without SH bands over 0, and otherwise off by
 /// the turn of the direction within the exposure (a fortieth of an 8-bit step for a path of 3 px, a fifth for one of 10, in a test
-/// with pictures 256 wide: `tests/tests/splat_core_exposure.rs`). The left rotations of `splats` are those of the middle, and count where
+/// with pictures 256 wide: `tests/tests/splat_core/exposure.rs`). The left rotations of `splats` are those of the middle, and count where
 /// nothing moves.
 ///
 /// `screen_grad` is as in [`crate::Extra`]; its statistic is the sum over the samples.

@@ -1,6 +1,6 @@
 //! Losses that keep motion smooth: values, gradients, and rest.
 
-use super::{IDENTITY, assert_close};
+use crate::tensors::{IDENTITY, assert_close};
 use burn::tensor::{DType, Tensor};
 use glam::DVec3;
 use limpid_tests::{GradLimits, check_gradients, devices, devices_in, noise, tensor, values};

@@ -156,19 +156,6 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
         );
     }
     fs::write(out.join("config.json"), &config)?;
-    for command in [["eval", path(&out)], ["render", path(&out)]] {
-        for backend in ["ndarray", "wgpu", "cuda"] {
-            let tried = limpid(&command).args(["--backend", backend]).output()?;
-            let said = text(&tried.stderr);
-            assert!(
-                tried.status.success() || said.contains("--backend"),
-                "{said}"
-            );
-            assert!(!said.contains("unexpected argument"), "{said}");
-        }
-        let told = limpid(&command).args(["--backend", "flex"]).output()?;
-        assert!(told.status.success(), "{}", text(&told.stderr));
-    }
 
     let scores = output(&["eval", path(&out)])?;
     assert!(scores.status.success(), "{}", text(&scores.stderr));

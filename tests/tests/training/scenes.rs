@@ -6,7 +6,6 @@ use io::Scene;
 use limpid_tests::tiny::{HEIGHT, WALL, WIDTH, camera, checkpoint, pose, scene, settings};
 use limpid_tests::{devices, in_pool, with_causes};
 use splat_core::{Extra, Splats, Viewpoint, render};
-use std::collections::BTreeSet;
 use trainer::settings::{BlurKind, FrameSettings, When};
 use trainer::{BlurModel, Trainer, survey};
 
@@ -46,95 +45,6 @@ fn assert_same(a: &[(String, Vec<u32>)], b: &[(String, Vec<u32>)], what: &str) {
             "{what}: {differing} of {} values of {name} differ",
             left.len()
         );
-    }
-}
-
-/// Iterations between two acts of density control, each of which disturbs what was fitted until then.
-const CONTROL_EVERY: usize = 25;
-
-/// Sixty iterations, in which the pictures' loss must fall until density control acts for the second time, and again behind it;
-/// the terms of the loss that there were.
-fn sixty_steps(trainer: &mut Trainer, name: &str) -> BTreeSet<&'static str> {
-    let mut terms = BTreeSet::new();
-    let mut losses = Vec::new();
-    for _ in 0..60 {
-        let report = trainer.step().expect("a step");
-        terms.extend(report.terms.iter().map(|(term, _)| *term));
-        let images = report.terms.iter().filter(|(term, _)| *term == "image");
-        losses.push(images.map(|(_, value)| value).sum::<f64>());
-    }
-    let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
-    let (before, behind) = losses.split_at(2 * CONTROL_EVERY);
-    assert!(
-        mean(&before[40..]) < 0.5 * mean(&before[..10]),
-        "{name}: {losses:?}"
-    );
-    assert!(
-        mean(&behind[5..]) < 0.8 * mean(&behind[..5]),
-        "{name}, behind density control: {losses:?}"
-    );
-    terms
-}
-
-#[test]
-fn sixty_steps_lower_the_loss_and_use_every_part() {
-    for (name, device) in devices() {
-        let mut trainer = Trainer::new(scene(), settings(), &device).expect("a trainer");
-        assert!(
-            trainer.survey().movers,
-            "{name}: {:?}",
-            trainer.survey().notes
-        );
-        let start = trainer.model().clone();
-        let terms = sixty_steps(&mut trainer, name);
-        let wanted = [
-            "along_ray",
-            "bases_acceleration",
-            "depth",
-            "gauge",
-            "image",
-            "mask",
-            "means_acceleration",
-        ];
-        for term in wanted {
-            assert!(terms.contains(term), "{name}: no term {term} in {terms:?}");
-        }
-        assert!(
-            trainer.model().num_dynamic() > start.num_dynamic(),
-            "{name}: dynamic densification adds Gaussians"
-        );
-        for (parameter, after) in trainer.model().parameters() {
-            let before = start
-                .parameters()
-                .into_iter()
-                .find(|(n, _)| *n == parameter)
-                .expect("same names")
-                .1;
-            let moved = before.dims() != after.dims()
-                || (before.inner() - after.inner())
-                    .abs()
-                    .max()
-                    .into_scalar::<f32>()
-                    > 0.0;
-            assert!(moved, "{name}: {} has not moved", parameter.name);
-        }
-    }
-}
-
-#[test]
-fn sixty_steps_with_the_camera_lower_the_loss_and_open_paths() {
-    for (name, device) in devices() {
-        let mut settings = settings();
-        settings.blur.model = BlurKind::Camera;
-        let mut trainer = Trainer::new(scene(), settings, &device).expect("a trainer");
-        sixty_steps(&mut trainer, name);
-        for (parameter, values) in trainer.model().parameters() {
-            let values = values.try_into_vec_as::<f32>().expect("readable");
-            let finite = values.iter().all(|value| value.is_finite());
-            assert!(finite, "{name}: {}", parameter.name);
-            let is_path = parameter.name == "camera.paths";
-            assert!(!is_path || values.iter().any(|v| *v != 0.0), "{name}");
-        }
     }
 }
 

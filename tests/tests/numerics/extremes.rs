@@ -1,5 +1,5 @@
 //! Input at the extremes: finite numbers stay finite, other numbers are refused by name, and whole training steps survive scenes
-//! that have almost nothing in them. (The figures of single ops stand in docs/NUMERICS.md and `numerics.rs`.)
+//! that have almost nothing in them. (The figures of single ops stand in docs/NUMERICS.md and `figures.rs`.)
 
 use bpnet::{
     BlurField, BlurInputs, BpNet, BpNetConfig, BpNetError, Extractor, HeadInit, composite,

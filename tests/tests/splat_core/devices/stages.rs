@@ -7,7 +7,7 @@ use burn::tensor::{DType, Device};
 use limpid_tests::devices;
 use splat_core::{InImage, Stages, prepare};
 
-use crate::case::{CASES, Case, Inputs};
+use super::case::{CASES, Case, Inputs};
 
 /// What a scene is besides generated.
 #[derive(Clone, Copy, Debug)]

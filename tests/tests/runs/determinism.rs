@@ -71,7 +71,7 @@ fn processes_threads_and_reloading_change_no_bit() {
         let output = Command::new(this)
             .args([
                 "--exact",
-                "processes_threads_and_reloading_change_no_bit",
+                "determinism::processes_threads_and_reloading_change_no_bit",
                 "--nocapture",
             ])
             .env(RUN, format!("{blur} {reload_at}"))

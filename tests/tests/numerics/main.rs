@@ -1,0 +1,4 @@
+//! Input at the extremes and what rounding costs, on every backend.
+
+mod extremes;
+mod figures;

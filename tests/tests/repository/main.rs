@@ -1,0 +1,5 @@
+//! What the repository's documents and sources promise of each other.
+
+mod circles;
+mod examples;
+mod reliability;
