@@ -126,7 +126,9 @@ fn main() -> ExitCode {
             frozen,
             ndarray,
         }) => net([*width, *height], *repeats, *frozen, *ndarray),
-        Some(Command::Curves { out, seed, seeds }) => all_curves(out, *seed..seed.saturating_add(*seeds)),
+        Some(Command::Curves { out, seed, seeds }) => {
+            all_curves(out, *seed..seed.saturating_add(*seeds))
+        }
         Some(Command::Launches {
             width,
             height,

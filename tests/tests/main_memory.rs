@@ -37,6 +37,7 @@ fn what_a_run_takes_is_estimated_within_a_factor_of_two() {
             iterations: 200,
             ..Settings::default()
         };
+        settings.motion.first_fit_steps = 40;
         settings.blur.model = blur;
         settings.camera.samples = samples;
         settings.camera.spacing_px = 0.1;

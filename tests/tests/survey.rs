@@ -2,7 +2,7 @@
 //! frames.
 
 use limpid_tests::bodies::{Bodies, scene};
-use limpid_tests::{quick_devices, values};
+use limpid_tests::{devices_for_long_trainings, values};
 use trainer::settings::BlurKind;
 use trainer::{Settings, Trainer};
 
@@ -21,7 +21,7 @@ fn num_bases(trainer: &Trainer) -> usize {
 
 #[test]
 fn movers_bases_and_blur_are_what_the_scene_has() {
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         for shake in [0.0, 0.12] {
             for (bodies, bases) in [
                 (Bodies::Balls(1), 1..=2),
@@ -48,7 +48,7 @@ fn movers_bases_and_blur_are_what_the_scene_has() {
 
 #[test]
 fn what_masks_show_and_tracks_follow_stands_still() {
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         for shake in [0.0, 0.12] {
             let trainer = surveyed(Bodies::Still, shake, &device);
             let survey = trainer.survey();
@@ -66,7 +66,7 @@ fn what_masks_show_and_tracks_follow_stands_still() {
 /// What is left out costs nothing: a run that decides for itself has every number of one that was told.
 #[test]
 fn what_is_decided_is_what_could_have_been_asked_for() {
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         for (shake, asked) in [(0.0, BlurKind::Off), (0.12, BlurKind::Camera)] {
             let scene = scene(Bodies::Balls(2), shake, &device);
             let trained = |model| {

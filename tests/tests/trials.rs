@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device, Tensor};
 use capture::{Capture, samples, shift_of};
 use glam::{DAffine3, DVec3};
 use io::{Frame, Image, Map, Scene, View};
-use limpid_tests::{devices_for_long_trainings, noise, quick_devices, tensor, values, wall};
+use limpid_tests::{devices_for_long_trainings, noise, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
 use trainer::settings::{BlurKind, DiscKind, When};
 use trainer::{BlurFigures, CameraFigures, Settings, Trainer};
@@ -126,7 +126,7 @@ fn camera_figures(trainer: &Trainer) -> CameraFigures {
 /// near its own: RESULTS.md, "Kernels on top of the camera".)
 #[test]
 fn a_lens_is_found_beside_paths_where_it_is() {
-    for (name, device) in quick_devices() {
+    for (name, device) in devices_for_long_trainings() {
         for (aperture, start) in [(0.06, 0.08), (0.0, 0.0125)] {
             let mut settings = settings(3000, BlurKind::Auto);
             settings.camera.aperture = start;

@@ -31,7 +31,8 @@ fn a_run_is_scored_and_shown_by_every_backend_that_is_built_in() -> Result<(), B
     let out = folder.path().join("run").to_string_lossy().into_owned();
     let train = ["train", "--scene", DEMO, "--downscale", "5", "--out", &out];
     let short = ["--iterations", "200", "--blur", "off"];
-    let trained = output(&[&train[..], &short].concat())?;
+    let fit = ["--set", "motion.first_fit_steps=40"];
+    let trained = output(&[&train[..], &short, &fit].concat())?;
     let said = String::from_utf8_lossy(&trained.stderr);
     assert!(trained.status.success(), "{said}");
     for command in ["eval", "render"] {

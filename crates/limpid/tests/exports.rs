@@ -61,6 +61,7 @@ fn train(out: &Path, more: &[&str]) -> Outcome {
     let arguments = [
         &["train", "--scene", &demo, "--out", utf8(out)],
         &short[..],
+        &["--set", "motion.first_fit_steps=40"],
         more,
     ]
     .concat();

@@ -10,6 +10,9 @@ use std::time::{Duration, Instant};
 
 const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
 
+/// Where it does not matter how well movers begin: a second or two.
+const FIT: &str = "motion.first_fit_steps=40";
+
 fn command(out: &Path, args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_limpid"));
     command.args(["train", "--scene", DEMO, "--downscale", "5"]);
@@ -52,7 +55,7 @@ fn as_many_iterations_as_fit_and_the_run_can_be_repeated() -> Result<(), Box<dyn
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("run");
     let began = Instant::now();
-    let run = train(&out, &["--minutes", "0.1"])?;
+    let run = train(&out, &["--minutes", "0.1", "--set", FIT])?;
     let took = began.elapsed().as_secs_f64();
     let said = String::from_utf8_lossy(&run.stderr).into_owned();
     assert!(run.status.success(), "{said}");
@@ -77,7 +80,7 @@ fn a_time_that_is_too_short_is_said_and_no_time_is_refused() -> Result<(), Box<d
         assert_eq!(refused.status.code(), Some(2), "{wrong}");
         assert!(!out.exists(), "{wrong}");
     }
-    let run = train(&out, &["--minutes", "0.001"])?;
+    let run = train(&out, &["--minutes", "0.001", "--set", FIT])?;
     let said = String::from_utf8_lossy(&run.stderr).into_owned();
     assert!(run.status.success(), "{said}");
     assert_eq!(length(&out)?, 200);
@@ -126,7 +129,7 @@ fn a_length_that_was_killed_is_finished_and_not_the_one_before_made_longer()
 -> Result<(), Box<dyn Error>> {
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("run");
-    let mut run = command(&out, &["--until-done", "--iterations", "760"])
+    let mut run = command(&out, &["--until-done", "--iterations", "760", "--set", FIT])
         .stderr(Stdio::null())
         .spawn()?;
     let waits = Instant::now();

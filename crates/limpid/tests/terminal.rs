@@ -90,7 +90,8 @@ fn quiet_says_what_came_of_it_and_a_log_has_every_line_with_its_time() -> Result
     let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
     let train = ["train", "--scene", scene, "--out", &out, "--downscale", "5"];
     let short = ["--iterations", "200", "--blur", "camera"];
-    let trained = output(&[&train[..], &short, &["--quiet", "--log", &log]].concat())?;
+    let fit = ["--set", "motion.first_fit_steps=40"];
+    let trained = output(&[&train[..], &short, &fit, &["--quiet", "--log", &log]].concat())?;
     let said = String::from_utf8(trained.stderr)?;
     assert!(trained.status.success(), "{said}");
     let lines: Vec<&str> = said.lines().collect();

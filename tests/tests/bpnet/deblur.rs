@@ -3,7 +3,7 @@
 
 use bpnet::{BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, cell_means, composite};
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use limpid_tests::quick_devices;
+use limpid_tests::devices_for_long_trainings;
 
 const SIZE: usize = 40;
 /// The frames are cut out of a larger picture, so that blur carries light over their borders.
@@ -241,9 +241,9 @@ fn scene() -> (Vec<f64>, Vec<Vec<f64>>, Vec<f64>) {
     (line_blur(&large, 0.0, 0.0), frames, mean)
 }
 
-/// The CPU backend that trains. (On the other the same kernels run, and each test of their values.)
+/// The device that trains, if any. (On ndarray the same kernels run, and each test of their values.)
 fn device() -> Option<Device> {
-    let mut quick = quick_devices().into_iter();
+    let mut quick = devices_for_long_trainings().into_iter();
     quick.next().map(|(_, device)| device)
 }
 

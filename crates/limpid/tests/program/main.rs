@@ -43,6 +43,8 @@ fn start(out: &Path, more: &[&str]) -> Result<(Child, BufReader<ChildStderr>), B
         "200",
         "--blur",
         "camera",
+        "--set",
+        "motion.first_fit_steps=40",
     ];
     let mut command = limpid(&["train", "--scene", DEMO, "--out", path(out)]);
     command.args(short).args(more).stderr(Stdio::piped());
@@ -410,8 +412,9 @@ fn what_may_not_fit_into_memory_is_told_before_training_with_a_size_that_would()
         command.args(["-c", "ulimit -v 16777216 && exec \"$@\"", "sh"]);
         command.args([env!("CARGO_BIN_EXE_limpid"), "train", "--scene", DEMO]);
         command.args(["--out", path(&out), "--downscale", "5", "--blur", "off"]);
-        command.args(["--iterations", "200", "--set"]);
+        command.args(["--iterations", "200", "--set", "motion.first_fit_steps=40"]);
         let trained = command
+            .arg("--set")
             .arg(format!("gaussians.max_per_pixel={most}"))
             .output()?;
         let said = text(&trained.stderr);

@@ -64,6 +64,8 @@ fn train_as(folder: &Path, name: &str, words: &[&str]) -> Outcome<std::path::Pat
         to,
         "--iterations",
         "200",
+        "--set",
+        "motion.first_fit_steps=40",
     ];
     limpid(&[&short[..], words].concat())?;
     Ok(out)

@@ -47,6 +47,8 @@ fn a_run_that_is_watched_comes_out_the_same_and_ends_with_its_report() -> Outcom
         "camera",
         "--iterations",
         "200",
+        "--set",
+        "motion.first_fit_steps=40",
     ];
     let alone = folder.path().join("alone");
     let to = alone.to_str().ok_or("UTF-8")?;
