@@ -21,12 +21,20 @@ fn now<T>(future: impl Future<Output = T>) -> T {
 }
 
 /// A device of the first adapter with WebGPU's default limits (8 storage buffers a kernel, 16 KiB that units share, 128 MiB a
-/// binding), without any feature; and wgpu's hold on it.
+/// binding), without any feature; and wgpu's hold on it. It has the adapter's units a cube: CubeCL takes as many for kernels of
+/// Burn's, whatever the device was asked for.
 fn smallest() -> (Device, wgpu::Device) {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
     let adapter = now(instance.request_adapter(&wgpu::RequestAdapterOptions::default()));
     let adapter = adapter.expect("an adapter, since `devices` has one");
-    let limits = wgpu::Limits::default();
+    let has = adapter.limits();
+    let limits = wgpu::Limits {
+        max_compute_invocations_per_workgroup: has.max_compute_invocations_per_workgroup,
+        max_compute_workgroup_size_x: has.max_compute_workgroup_size_x,
+        max_compute_workgroup_size_y: has.max_compute_workgroup_size_y,
+        max_compute_workgroup_size_z: has.max_compute_workgroup_size_z,
+        ..wgpu::Limits::default()
+    };
     let (device, queue) = now(adapter.request_device(&wgpu::DeviceDescriptor {
         required_limits: limits,
         ..wgpu::DeviceDescriptor::default()
