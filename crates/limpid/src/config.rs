@@ -74,7 +74,7 @@ pub(crate) enum Backend {
     Flex,
     /// A second CPU backend, slow; needs the feature `ndarray`.
     Ndarray,
-    /// Any GPU, by Vulkan, Metal or DX12; needs the feature `wgpu`.
+    /// Any GPU, by Vulkan, Metal, DX12 or OpenGL; needs the feature `wgpu`.
     Wgpu,
     /// An NVIDIA GPU, by CUDA; needs the feature `cuda`.
     Cuda,
