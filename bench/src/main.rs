@@ -110,7 +110,7 @@ enum Command {
         #[arg(long, default_value_t = 1)]
         seed: u64,
         /// So many seeds, one after the other: what backends differ by on the mean.
-        #[arg(long, default_value_t = 1)]
+        #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
         seeds: u64,
     },
 }

@@ -70,7 +70,12 @@ fn sixty_steps(trainer: &mut Trainer, name: &str) -> BTreeSet<&'static str> {
         let most = most_waits(trainer, name);
         controlled += usize::from(trainer.schedule().controls_density(it));
         let (report, waited) = step(trainer);
-        assert!(waited >= 1, "{name}, iteration {it}: its losses come back");
+        // A thread without a subscriber that meets the span first may hide it until the next subscriber comes, which is the next
+        // iteration's.
+        assert!(
+            waited >= 1 || it == 1,
+            "{name}, iteration {it}: its losses come back"
+        );
         assert!(
             most.is_none_or(|most| waited <= most),
             "{name}, iteration {it}: waited {waited} times, not {most:?}"
