@@ -23,6 +23,12 @@ const BACKENDS: &str = "LIMPID_BACKENDS";
 /// What compiles all backends that tests know: one build for every step that needs another one than the default.
 const ALL_BACKENDS: &str = "limpid-tests/ndarray,limpid-tests/wgpu,limpid/wgpu,limpid-bench/wgpu";
 
+/// CUDA is compiled as far as lints need it: nothing here runs it.
+const CUDA: &str = "limpid-tests/cuda,limpid/cuda,limpid-bench/cuda";
+
+/// What makes the crates below CUDA do without the LLVM that they fetch and link otherwise, as where docs.rs builds them.
+const WITHOUT_LLVM: (&str, &str) = ("DOCS_RS", "1");
+
 /// The steps of `ci`, in their order. Where Burn is compiled, always the whole workspace: with `--package`, cargo would give
 /// the crates below it other features, and compile it again.
 pub(crate) const STEPS: [Step; 8] = [
@@ -72,11 +78,13 @@ pub(crate) const STEPS: [Step; 8] = [
             "--all-targets",
             "--features",
             ALL_BACKENDS,
+            "--features",
+            CUDA,
             "--",
             "-D",
             "warnings",
         ],
-        NOTHING,
+        WITHOUT_LLVM,
     ),
     (
         "test-gpu",
