@@ -106,15 +106,12 @@ pub fn differences(curves: &[Curve]) -> Vec<Difference> {
         };
         let flex = curves.iter().find(is_pair).map_or(&[][..], |c| &c.psnr);
         for (iterations, psnr) in &curve.psnr {
-            let same = flex.iter().find(|(done, _)| done == iterations);
-            let key = (curve.model.as_str(), curve.backend.as_str(), *iterations);
-            gains
-                .entry(key)
-                .or_default()
-                .extend(same.map(|(_, of_flex)| psnr - of_flex));
+            if let Some((_, of_flex)) = flex.iter().find(|(done, _)| done == iterations) {
+                let key = (curve.model.as_str(), curve.backend.as_str(), *iterations);
+                gains.entry(key).or_default().push(psnr - of_flex);
+            }
         }
     }
-    gains.retain(|_, gains| !gains.is_empty());
     let summary = |((model, backend, iterations), gains): ((&str, &str, usize), Vec<f64>)| {
         let n = gains.len() as f64;
         let mean = gains.iter().sum::<f64>() / n;

@@ -48,13 +48,12 @@ fn most_waits(trainer: &Trainer, name: &str) -> Option<usize> {
         return None;
     }
     let is_blurred = schedule.blur_moments.first().is_some_and(|from| it > *from);
-    // What the camera did decides how many samples there are, beside the sharp render.
+    // An account at the end and a sharp render; with the camera, what it did, which decides how many samples there are, and these.
     let exposes = is_blurred && trainer.settings().blur.model == BlurKind::Camera;
     let renders = 1 + usize::from(exposes);
     // Only a GPU is waited for in a render: its buffers are made for the number of slots.
     let sorts = usize::from(!matches!(name, "flex" | "ndarray"));
-    let accounts = 1 + usize::from(exposes);
-    Some(accounts + sorts * renders + usize::from(schedule.controls_density(it)))
+    Some((1 + sorts) * renders + usize::from(schedule.controls_density(it)))
 }
 
 /// Iterations between two acts of density control, each of which disturbs what was fitted until then.
