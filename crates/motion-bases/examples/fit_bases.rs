@@ -21,7 +21,7 @@ fn main() -> Result<(), motion_bases::MotionError> {
     let device = Device::flex().autodiff();
     #[rustfmt::skip]
     let cameras = vec![FitCamera { cam_from_world: DAffine3::IDENTITY, fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 }; num_frames];
-    let data = FitData::new(&init, &cameras, &device, DType::F32)?;
+    let data = FitData::new(&init, &cameras)?;
     let mut bases = MotionBases::from_init(&init, &device, DType::F32);
     let means = &Tensor::<1>::from_data(&*init.canonical_means(), &device).reshape([-1, 3]);
     let coefficients = &Tensor::<2>::zeros([means.dims()[0], init.num_bases], &device);

@@ -236,3 +236,20 @@ impl Motion {
         rotated.reshape([rows, 3]) + self.translations.clone()
     }
 }
+
+/// Positions of all Gaussians in all training frames, [P, N, 3], in scene units.
+///
+/// `coefficients` are logits [P, B], `means` are canonical positions [P, 3]. Differentiable.
+///
+/// # Panics
+/// As [`MotionBases::motion_at`].
+#[must_use]
+pub fn positions_all_frames(
+    bases: &MotionBases,
+    coefficients: &Tensor<2>,
+    means: &Tensor<2>,
+) -> Tensor<3> {
+    let times: Vec<f32> = (0..bases.num_frames).map(|frame| frame as f32).collect();
+    let (moved, _) = bases.moved_at(coefficients, means, &times);
+    moved.swap_dims(0, 1)
+}

@@ -24,7 +24,7 @@ pub(crate) const NEAR_Y_AXIS: f64 = 0.8;
 pub(crate) const MAX_ENTRY: f64 = 1e9;
 
 /// A vector per element: three tensors of one shape.
-pub(crate) type Components = [Tensor<2>; 3];
+type Components = [Tensor<2>; 3];
 
 /// Rotations [F, 3, 3] from 6D vectors [F, 6]; columns are x, y, z.
 ///
@@ -47,7 +47,7 @@ pub fn gram_schmidt(six: Tensor<2>) -> Tensor<3> {
 
 /// Gram–Schmidt element by element, on vectors whose components are tensors of one shape with
 /// entries within ±[`MAX_ENTRY`]. Returns the columns x, y, z.
-pub(crate) fn orthonormal_columns(a1: Components, a2: Components) -> [Components; 3] {
+fn orthonormal_columns(a1: Components, a2: Components) -> [Components; 3] {
     let no_direction = square_norm(&detached(&a1)).lower_elem(MIN_NORM * MIN_NORM);
     let [ax, ay, az] = a1;
     let a1 = [
@@ -91,7 +91,7 @@ fn detached(v: &Components) -> Components {
 }
 
 /// Squared length of each vector.
-pub(crate) fn square_norm(v: &Components) -> Tensor<2> {
+fn square_norm(v: &Components) -> Tensor<2> {
     v[0].clone().square() + v[1].clone().square() + v[2].clone().square()
 }
 

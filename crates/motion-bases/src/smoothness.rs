@@ -10,7 +10,7 @@ use glam::DVec3;
 pub(crate) const REST: f64 = 1e-6;
 
 /// Weight of the translations beside the 6D vectors in [`bases_acceleration`].
-const TRANSLATION_WEIGHT: f64 = 2.0;
+pub(crate) const TRANSLATION_WEIGHT: f64 = 2.0;
 
 /// Acceleration of the bases, `[1]`: the mean length of the second differences over time of the 6D
 /// vectors, plus twice that of the translations divided by `scene_scale`.
@@ -82,7 +82,7 @@ pub fn along_ray(
 
 /// Mean length of vectors, given the squares of their lengths: zero up to [`REST`], with a gradient
 /// of zero there, and less by [`REST`] above.
-pub(crate) fn mean_length(squares: Tensor<2>) -> Tensor<1> {
+fn mean_length(squares: Tensor<2>) -> Tensor<1> {
     (squares.clamp_min(REST * REST).sqrt() - REST).mean()
 }
 

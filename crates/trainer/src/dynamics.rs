@@ -93,7 +93,7 @@ pub(crate) fn start_dynamics(
         [kept, bases],
     );
     let mut means = start(init.canonical_means(), [kept, 3]);
-    let data = FitData::new(&init, &cameras, device, dtype)?;
+    let data = FitData::new(&init, &cameras)?;
     let mut states = [&rots, &transls, &coefficients, &means].map(AdamState::new);
     let steps = settings.motion.first_fit_steps;
     for step in 0..steps {

@@ -2,7 +2,7 @@
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DQuat, DVec3};
-use limpid_tests::{GradLimits, check_gradients, devices_in, in_pool, quick_devices};
+use limpid_tests::{GradLimits, check_gradients, devices_in, in_pool, quick_devices, tensor};
 use motion_bases::{
     Fit, FitCamera, FitData, InitOptions, MotionBases, MotionError, MotionInit, Tracks3d, fit_loss,
     initialize, positions_all_frames,
@@ -25,14 +25,14 @@ impl Noise {
 }
 
 /// Two rigid bodies 5 units before the camera, one driving past, one turning; with the true paths.
-struct Scene {
-    tracks: Tracks3d,
+pub(crate) struct Scene {
+    pub(crate) tracks: Tracks3d,
     /// True positions, [P * N].
     truth: Vec<DVec3>,
-    cameras: Vec<FitCamera>,
+    pub(crate) cameras: Vec<FitCamera>,
 }
 
-fn two_movers(tracks_each: usize, frames: usize, noise: f64) -> Scene {
+pub(crate) fn two_movers(tracks_each: usize, frames: usize, noise: f64) -> Scene {
     let mut random = Noise(77);
     let middle = (frames as f64 - 1.0) / 2.0;
     let mut scene = Scene {
@@ -114,7 +114,7 @@ impl Fitting {
             moments,
             rates: [1e-2, 3e-2 * init.extent, 1e-2, 1e-3 * init.extent],
             num_frames: n,
-            data: FitData::new(init, cameras, device, dtype).expect("a camera per frame"),
+            data: FitData::new(init, cameras).expect("a camera per frame"),
         }
     }
 
@@ -171,6 +171,74 @@ impl Fitting {
             .map(|(i, at)| at.distance(DVec3::from_slice(&positions[3 * i..])))
             .sum();
         sum / (init.rows.len() * n) as f64
+    }
+}
+
+/// What is fitted, by name, with its shape.
+pub(crate) type Start = [(&'static str, [usize; 2], Vec<f64>); 4];
+
+/// The start that was found, each of its numbers off by up to 0.05.
+pub(crate) fn shaken_start(init: &MotionInit) -> Start {
+    let (p, n, b) = (init.tracks.len(), init.tracks.num_frames, init.num_bases);
+    let mut random = Noise(5);
+    let mut shaken =
+        |values: &[f64]| -> Vec<f64> { values.iter().map(|v| v + 0.05 * random.next()).collect() };
+    let coefficients: Vec<f64> = init.coefficients.iter().map(|&v| f64::from(v)).collect();
+    [
+        ("rots", [b, n * 6], shaken(&init.rots)),
+        ("transls", [b, n * 3], shaken(&init.transls)),
+        ("coefficients", [p, b], shaken(&coefficients)),
+        ("means", [p, 3], shaken(&init.canonical_means())),
+    ]
+}
+
+/// What is fitted, as tensors.
+pub(crate) struct Moving {
+    bases: MotionBases,
+    coefficients: Tensor<2>,
+    means: Tensor<2>,
+}
+
+impl Moving {
+    pub(crate) fn new(start: &Start, num_frames: usize, device: &Device, dtype: DType) -> Self {
+        let [rots, transls, coefficients, means] = start
+            .each_ref()
+            .map(|(_, shape, values)| tensor::<2>(values, *shape, device, dtype));
+        Self {
+            bases: MotionBases {
+                rots,
+                transls,
+                num_frames,
+            },
+            coefficients,
+            means,
+        }
+    }
+
+    /// The same, of which gradients are asked.
+    pub(crate) fn leaves(self) -> Self {
+        Self {
+            bases: MotionBases {
+                rots: self.bases.rots.require_grad(),
+                transls: self.bases.transls.require_grad(),
+                num_frames: self.bases.num_frames,
+            },
+            coefficients: self.coefficients.require_grad(),
+            means: self.means.require_grad(),
+        }
+    }
+
+    pub(crate) fn fit(&self) -> Fit<'_> {
+        Fit {
+            bases: &self.bases,
+            coefficients: &self.coefficients,
+            means: &self.means,
+        }
+    }
+
+    pub(crate) fn tensors(&self) -> [&Tensor<2>; 4] {
+        let MotionBases { rots, transls, .. } = &self.bases;
+        [rots, transls, &self.coefficients, &self.means]
     }
 }
 
@@ -269,50 +337,23 @@ fn the_loss_has_the_right_gradient() {
             },
         )
         .unwrap();
-        let (p, n, b) = (init.tracks.len(), 5, init.num_bases);
-        let data = FitData::new(
-            &init,
-            &scene.cameras,
-            &device.clone().autodiff(),
-            DType::F64,
-        )
-        .unwrap();
-        let mut random = Noise(5);
-        let mut shaken = |values: Vec<f64>| -> Vec<f64> {
-            values
-                .into_iter()
-                .map(|v| v + 0.05 * random.next())
-                .collect()
-        };
-        let means =
-            (0..p).flat_map(|row| init.tracks.positions[row * n + init.canonical_frame].to_array());
-        let inputs = [
-            ("rots", [b, n * 6], shaken(init.rots.clone())),
-            ("transls", [b, n * 3], shaken(init.transls.clone())),
-            (
-                "coefficients",
-                [p, b],
-                shaken(init.coefficients.iter().map(|&v| f64::from(v)).collect()),
-            ),
-            ("means", [p, 3], shaken(means.collect())),
-        ];
+        let data = FitData::new(&init, &scene.cameras).unwrap();
+        let inputs = shaken_start(&init);
         for step in [0, 9] {
             check_gradients(&device, &inputs, &[], GradLimits::default(), |x| {
-                let bases = MotionBases {
-                    rots: x[0].clone(),
-                    transls: x[1].clone(),
-                    num_frames: n,
+                let [rots, transls, coefficients, means] = x else {
+                    panic!("as many as there are inputs")
                 };
-                fit_loss(
-                    &Fit {
-                        bases: &bases,
-                        coefficients: &x[2],
-                        means: &x[3],
+                let moving = Moving {
+                    bases: MotionBases {
+                        rots: rots.clone(),
+                        transls: transls.clone(),
+                        num_frames: 5,
                     },
-                    &data,
-                    step,
-                    10,
-                )
+                    coefficients: coefficients.clone(),
+                    means: means.clone(),
+                };
+                fit_loss(&moving.fit(), &data, step, 10)
             });
         }
     }
@@ -388,7 +429,6 @@ fn tracks_dealt_into_groups_are_all_fitted() {
 
 #[test]
 fn wrong_cameras_are_refused() {
-    let device = Device::flex();
     let mut scene = two_movers(4, 3, 0.0);
     let init = initialize(
         &scene.tracks,
@@ -399,7 +439,7 @@ fn wrong_cameras_are_refused() {
         },
     )
     .unwrap();
-    let error = |cameras: &[FitCamera]| FitData::new(&init, cameras, &device, DType::F32).err();
+    let error = |cameras: &[FitCamera]| FitData::new(&init, cameras).err();
     let expected = MotionError::Length {
         what: "cameras",
         found: 2,

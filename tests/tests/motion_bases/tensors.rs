@@ -17,7 +17,7 @@ pub(crate) fn assert_close(found: &[f64], expected: &[f64], limit: f64, what: &s
 }
 
 /// The textbook's Gram–Schmidt; row-major rotation.
-fn reference_rotation(six: &[f64]) -> DMat3 {
+pub(crate) fn reference_rotation(six: &[f64]) -> DMat3 {
     let (a1, a2) = (DVec3::from_slice(&six[..3]), DVec3::from_slice(&six[3..6]));
     let x = a1 / a1.length();
     let p = a2 - a2.dot(x) * x;

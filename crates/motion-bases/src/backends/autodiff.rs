@@ -1,4 +1,5 @@
-//! The op as a node of a graph: it keeps its inputs, and the way back goes forward once more.
+//! The ops as nodes of a graph. Moved Gaussians keep their inputs, and the way back goes forward once more; the first fit keeps
+//! its gradients, which it makes on the way there.
 
 use burn::backend::autodiff::{
     checkpoint::{base::Checkpointer, strategy::CheckpointStrategy},
@@ -6,8 +7,10 @@ use burn::backend::autodiff::{
     ops::{Backward, Ops, OpsKind},
 };
 use burn::backend::{Autodiff, tensor::FloatTensor};
+use burn::tensor::Shape;
 use host::pass_back;
 
+use crate::fit_data::FitStep;
 use crate::ops::{MotionBackwardOps, MotionOps};
 
 #[derive(Debug)]
@@ -23,6 +26,29 @@ impl<B: MotionBackwardOps> Backward<B, 3> for Moved {
         _checkpointer: &mut Checkpointer,
     ) {
         pass_back::<B, _, _>(ops, grads, B::moved_backward);
+    }
+}
+
+#[derive(Debug)]
+struct FirstFit;
+
+impl<B: MotionBackwardOps> Backward<B, 4> for FirstFit {
+    type State = [FloatTensor<B>; 4];
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, 4>,
+        grads: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        pass_back::<B, _, _>(ops, grads, |gradients, of_loss, wanted| {
+            let factor = B::float_reshape(of_loss, Shape::new([1, 1]));
+            let mut wanted = wanted.into_iter();
+            gradients.map(|gradient| {
+                let is_wanted = wanted.next().expect("one for every input");
+                is_wanted.then(|| B::float_mul(gradient, factor.clone()))
+            })
+        });
     }
 }
 
@@ -45,6 +71,30 @@ impl<B: MotionBackwardOps, C: CheckpointStrategy> MotionOps for Autodiff<B, C> {
                 prep.finish([coefficients, bases, means], output)
             }
             OpsKind::UnTracked(prep) => prep.finish(B::moved(coefficients, bases, means)),
+        }
+    }
+
+    fn fit(
+        rots: FloatTensor<Self>,
+        transls: FloatTensor<Self>,
+        coefficients: FloatTensor<Self>,
+        means: FloatTensor<Self>,
+        step: FitStep,
+    ) -> FloatTensor<Self> {
+        let (rots, rots_node) = rots.into_parts();
+        let (transls, transls_node) = transls.into_parts();
+        let (coefficients, coefficients_node) = coefficients.into_parts();
+        let (means, means_node) = means.into_parts();
+        let nodes = [rots_node, transls_node, coefficients_node, means_node];
+        match FirstFit.prepare::<C>(nodes).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => {
+                let inputs = [rots, transls, coefficients, means];
+                let (loss, gradients) = B::fit_slope(inputs, &step);
+                prep.finish(gradients, loss)
+            }
+            OpsKind::UnTracked(prep) => {
+                prep.finish(B::fit(rots, transls, coefficients, means, step))
+            }
         }
     }
 }

@@ -3,9 +3,11 @@
 use burn::backend::{TensorMetadata as _, tensor::FloatTensor};
 use host::{HostBackend, HostFloat, tensor, with_float};
 
+use crate::backends::fit::fit_slope_on;
 use crate::cpu::moved::{Inputs, moved};
 use crate::cpu::moved_backward::moved_backward;
-use crate::ops::{MotionBackwardOps, MotionOps};
+use crate::fit_data::FitStep;
+use crate::ops::{FitSlope, MotionBackwardOps, MotionOps};
 
 macro_rules! host_ops {
     ($backend:ty) => {
@@ -17,6 +19,16 @@ macro_rules! host_ops {
             ) -> FloatTensor<Self> {
                 with_float!(means.dtype(), T => moved_on::<T, Self>([coefficients, bases, means]))
             }
+
+            fn fit(
+                rots: FloatTensor<Self>,
+                transls: FloatTensor<Self>,
+                coefficients: FloatTensor<Self>,
+                means: FloatTensor<Self>,
+                step: FitStep,
+            ) -> FloatTensor<Self> {
+                Self::fit_slope([rots, transls, coefficients, means], &step).0
+            }
         }
 
         impl MotionBackwardOps for $backend {
@@ -26,6 +38,10 @@ macro_rules! host_ops {
                 wanted: [bool; 3],
             ) -> [Option<FloatTensor<Self>>; 3] {
                 with_float!(gradient.dtype(), T => moved_backward_on::<T, Self>(inputs, gradient, wanted))
+            }
+
+            fn fit_slope(inputs: [FloatTensor<Self>; 4], step: &FitStep) -> FitSlope<Self> {
+                with_float!(inputs[0].dtype(), T => fit_slope_on::<T, Self>(inputs, step))
             }
         }
     };

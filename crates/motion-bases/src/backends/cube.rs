@@ -6,9 +6,11 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use host::cube::{cubes, empty, flat, units};
 
+use crate::backends::fit::fit_slope_on;
 use crate::cube::moved::{BASIS, moved_kernel, weights_kernel};
 use crate::cube::moved_backward::{TEAM, bases_backward_kernel, rows_backward_kernel};
-use crate::ops::{MotionBackwardOps, MotionOps};
+use crate::fit_data::FitStep;
+use crate::ops::{FitSlope, MotionBackwardOps, MotionOps};
 
 /// Softmax weights, bases and means.
 struct Inputs {
@@ -70,6 +72,16 @@ impl MotionOps for CubeBackend {
         );
         output
     }
+
+    fn fit(
+        rots: FloatTensor<Self>,
+        transls: FloatTensor<Self>,
+        coefficients: FloatTensor<Self>,
+        means: FloatTensor<Self>,
+        step: FitStep,
+    ) -> FloatTensor<Self> {
+        Self::fit_slope([rots, transls, coefficients, means], &step).0
+    }
 }
 
 impl MotionBackwardOps for CubeBackend {
@@ -118,5 +130,9 @@ impl MotionBackwardOps for CubeBackend {
             of_bases.then_some(v_bases),
             of_means.then_some(v_means),
         ]
+    }
+
+    fn fit_slope(inputs: [FloatTensor<Self>; 4], step: &FitStep) -> FitSlope<Self> {
+        fit_slope_on::<f32, Self>(inputs, step)
     }
 }

@@ -1,52 +1,64 @@
-//! Gram–Schmidt on six numbers and its way back, as [`crate::gram_schmidt`] has it on tensors.
+//! Gram–Schmidt on six numbers and its way back, as [`crate::gram_schmidt`] has it on tensors, of Gaussians side by side.
 
 use host::Real;
 
-use super::vec3::{Vec3, cross, difference, dot, scaled, select, sum};
+use super::lanes::Lanes;
+use super::vec3::{Vec3, cross, difference, dot, scaled, sum};
 use crate::rotation::{MIN_NORM, MIN_SINE, NEAR_Y_AXIS};
 
-/// The columns of a rotation, and what the way back needs.
+/// Vectors of Gaussians side by side.
+pub(crate) type Vectors<T> = Vec3<Lanes<T>>;
+
+/// The columns of rotations, and what the way back needs.
 #[derive(Clone, Copy)]
 pub(crate) struct Frame<T> {
-    x: Vec3<T>,
-    y: Vec3<T>,
-    z: Vec3<T>,
-    /// The second vector as it counts, of length 1 or an axis.
-    second: Vec3<T>,
+    x: Vectors<T>,
+    y: Vectors<T>,
+    z: Vectors<T>,
+    /// The second vectors as they count, of length 1 or an axis.
+    second: Vectors<T>,
     /// x × second, and how far it lies along x.
-    across: Vec3<T>,
-    along: T,
-    /// By what gradients of the first and the second vector are scaled; 0 for one that was replaced.
-    scales: [T; 2],
+    across: Vectors<T>,
+    along: Lanes<T>,
+    /// By what gradients of the first and the second vectors are scaled; 0 for one that was replaced.
+    scales: [Lanes<T>; 2],
     /// 1 / |across - along x|.
-    inverse: T,
+    inverse: Lanes<T>,
 }
 
 impl<T: Real> Frame<T> {
     /// Of six numbers within ±1e9.
     #[inline(always)]
-    pub(crate) fn of(six: [T; 6]) -> Self {
+    pub(crate) fn of(six: [Lanes<T>; 6]) -> Self {
+        let [zero, one] = [Lanes::ZERO, Lanes::all(T::ONE)];
         let least = T::of(MIN_NORM * MIN_NORM);
         let [a0, a1, a2, b0, b1, b2] = six;
-        let first: Vec3<T> = [a0, a1, a2];
-        let none = dot(first, first) < least;
-        let first = select(none, [T::ONE, T::ZERO, T::ZERO], first);
-        let inverse_first = T::ONE / dot(first, first).sqrt();
+        let given = dot([a0, a1, a2], [a0, a1, a2]);
+        let first = [
+            given.below(least, one, a0),
+            given.below(least, zero, a1),
+            given.below(least, zero, a2),
+        ];
+        let inverse_first = one / dot(first, first).sqrt();
         let x = scaled(first, inverse_first);
 
-        let given: Vec3<T> = [b0, b1, b2];
-        let inverse_second = T::ONE / dot(given, given).max(least).sqrt();
-        let unit = scaled(given, inverse_second);
+        let square = dot([b0, b1, b2], [b0, b1, b2]);
+        let inverse_second = one / square.max(Lanes::all(least)).sqrt();
+        let unit = scaled([b0, b1, b2], inverse_second);
         let sine = cross(x, unit);
-        let parallel = dot(sine, sine) < T::of(MIN_SINE * MIN_SINE);
-        let near = x[1] * x[1] > T::of(NEAR_Y_AXIS);
-        let axis = select(near, [T::ZERO, T::ZERO, T::ONE], [T::ZERO, T::ONE, T::ZERO]);
-        let second = select(parallel, axis, unit);
+        let (sine, parallel) = (dot(sine, sine), T::of(MIN_SINE * MIN_SINE));
+        let off = x[1] * x[1];
+        let y_axis = off.below(T::of(NEAR_Y_AXIS), one, zero);
+        let second = [
+            sine.below(parallel, zero, unit[0]),
+            sine.below(parallel, y_axis, unit[1]),
+            sine.below(parallel, one - y_axis, unit[2]),
+        ];
 
         let across = cross(x, second);
         let along = dot(across, x);
         let right = difference(across, scaled(x, along));
-        let inverse = T::ONE / dot(right, right).sqrt();
+        let inverse = one / dot(right, right).sqrt();
         let z = scaled(right, inverse);
         Self {
             x,
@@ -56,8 +68,8 @@ impl<T: Real> Frame<T> {
             across,
             along,
             scales: [
-                if none { T::ZERO } else { inverse_first },
-                if parallel { T::ZERO } else { inverse_second },
+                given.below(least, zero, inverse_first),
+                sine.below(parallel, zero, inverse_second),
             ],
             inverse,
         }
@@ -65,16 +77,21 @@ impl<T: Real> Frame<T> {
 
     /// Row by row.
     #[inline(always)]
-    pub(crate) fn rows(&self) -> [Vec3<T>; 3] {
-        [0, 1, 2].map(|i| [self.x[i], self.y[i], self.z[i]])
+    pub(crate) fn rows(&self) -> [Vectors<T>; 3] {
+        let Self { x, y, z, .. } = *self;
+        [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
     }
 
     /// The gradient of the six numbers from that of the rotation, row by row.
     #[inline(always)]
-    pub(crate) fn backward(&self, gradient: [Vec3<T>; 3]) -> [T; 6] {
-        let column = |c: usize| [gradient[0][c], gradient[1][c], gradient[2][c]];
+    pub(crate) fn backward(&self, gradient: [Vectors<T>; 3]) -> [Lanes<T>; 6] {
+        let [r0, r1, r2] = gradient;
         let Self { x, z, .. } = *self;
-        let (gx, gy, gz) = (column(0), column(1), column(2));
+        let (gx, gy, gz) = (
+            [r0[0], r1[0], r2[0]],
+            [r0[1], r1[1], r2[1]],
+            [r0[2], r1[2], r2[2]],
+        );
         // y = z × x
         let gz = sum(gz, cross(x, gy));
         let gx = sum(gx, cross(gy, z));

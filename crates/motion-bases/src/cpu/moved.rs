@@ -4,18 +4,14 @@ use host::{Real, filled, vectorized};
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::frame::Frame;
-use super::vec3::{Vec3, dot};
+use super::frame::{Frame, Vectors};
+use super::lanes::{LANES, Lanes};
+use super::vec3::dot;
 
-/// Gaussians side by side: a vector of the widest machines in f32.
-pub(crate) const LANES: usize = 16;
 /// Gaussians that one task works on.
 pub(crate) const PIECE: usize = 16 * LANES;
 /// Numbers of a basis at a moment: a 6D vector and a translation.
 pub(crate) const BASIS: usize = 9;
-
-/// A number of each of the Gaussians side by side.
-pub(crate) type Lanes<T> = [T; LANES];
 
 /// What moves, and how.
 pub(crate) struct Inputs<'a, T> {
@@ -56,7 +52,7 @@ impl<T: Real> Inputs<'_, T> {
     pub(crate) fn weights(&self, first: usize, weights: &mut [Lanes<T>]) {
         let bases = weights.len();
         let logits = self.coefficients[first * bases..].chunks_exact(bases);
-        weights.fill([T::ZERO; LANES]);
+        weights.fill(Lanes::ZERO);
         for (lane, logits) in logits.take(LANES).enumerate() {
             for (weight, logit) in weights.iter_mut().zip(logits) {
                 weight[lane] = *logit;
@@ -64,49 +60,41 @@ impl<T: Real> Inputs<'_, T> {
         }
         let mut largest = weights[0];
         for weight in &*weights {
-            for lane in 0..LANES {
-                largest[lane] = largest[lane].max(weight[lane]);
-            }
+            largest = largest.max(*weight);
         }
-        let mut total = [T::ZERO; LANES];
+        let mut total = Lanes::ZERO;
         for weight in &mut *weights {
-            for lane in 0..LANES {
-                weight[lane] = (weight[lane] - largest[lane]).exp_not_positive();
-                total[lane] += weight[lane];
-            }
+            *weight = (*weight - largest).map(T::exp_not_positive);
+            total += *weight;
         }
         for weight in weights {
-            for lane in 0..LANES {
-                weight[lane] = weight[lane] / total[lane];
-            }
+            *weight = *weight / total;
         }
     }
 
     /// The bases at a moment, blended.
     #[inline(always)]
     pub(crate) fn blended(&self, moment: usize, weights: &[Lanes<T>]) -> [Lanes<T>; BASIS] {
-        let mut blend = [[T::ZERO; LANES]; BASIS];
+        let mut blend = [Lanes::ZERO; BASIS];
         for (weight, basis) in weights.iter().zip(self.bases_at(moment)) {
             for (blend, value) in blend.iter_mut().zip(basis) {
-                for lane in 0..LANES {
-                    blend[lane] += weight[lane] * *value;
-                }
+                *blend += *weight * *value;
             }
         }
         blend
     }
 }
 
-/// The rotation of one lane of a blend.
+/// The rotations of a blend.
 #[inline(always)]
-pub(crate) fn frame<T: Real>(blend: &[Lanes<T>; BASIS], lane: usize) -> Frame<T> {
-    Frame::of([0, 1, 2, 3, 4, 5].map(|c| blend[c][lane]))
+pub(crate) fn frame<T: Real>(blend: &[Lanes<T>; BASIS]) -> Frame<T> {
+    Frame::of([blend[0], blend[1], blend[2], blend[3], blend[4], blend[5]])
 }
 
 /// Rows of C numbers side by side; lanes without a row are 0.
 #[inline(always)]
 pub(crate) fn gathered<T: Real, const C: usize>(rows: &[T]) -> [Lanes<T>; C] {
-    let mut lanes = [[T::ZERO; LANES]; C];
+    let mut lanes = [Lanes::ZERO; C];
     for (lane, row) in rows.as_chunks::<C>().0.iter().take(LANES).enumerate() {
         for (lanes, value) in lanes.iter_mut().zip(row) {
             lanes[lane] = *value;
@@ -129,7 +117,7 @@ pub(crate) fn scatter<T: Real, const C: usize>(lanes: &[Lanes<T>; C], rows: &mut
 pub(crate) fn moved<T: Real>(inputs: &Inputs<'_, T>) -> Vec<T> {
     let _span = trace_span!("motion").entered();
     let (rows, bases) = (inputs.rows(), inputs.num_bases());
-    let mut weights = vec![[T::ZERO; LANES]; rows.div_ceil(LANES) * bases];
+    let mut weights = vec![Lanes::ZERO; rows.div_ceil(LANES) * bases];
     weights
         .par_chunks_mut(bases * (PIECE / LANES))
         .enumerate()
@@ -182,22 +170,17 @@ pub(crate) fn moved<T: Real>(inputs: &Inputs<'_, T>) -> Vec<T> {
 
 /// Moved means and rotations of the Gaussians side by side.
 #[inline(always)]
-fn move_lanes<T: Real>(
+pub(crate) fn move_lanes<T: Real>(
     blend: &[Lanes<T>; BASIS],
     canonical: &[T],
-) -> ([Lanes<T>; 3], [Lanes<T>; 9]) {
+) -> (Vectors<T>, [Lanes<T>; 9]) {
     let mean = gathered::<T, 3>(canonical);
-    let mut moved = [[T::ZERO; LANES]; 3];
-    let mut turned = [[T::ZERO; LANES]; 9];
-    for lane in 0..LANES {
-        let rows: [Vec3<T>; 3] = frame(blend, lane).rows();
-        let mean = [mean[0][lane], mean[1][lane], mean[2][lane]];
-        for (i, row) in rows.into_iter().enumerate() {
-            moved[i][lane] = dot(row, mean) + blend[6 + i][lane];
-            for (j, entry) in row.into_iter().enumerate() {
-                turned[3 * i + j][lane] = entry;
-            }
-        }
-    }
+    let [x, y, z] = frame(blend).rows();
+    let moved = [
+        dot(x, mean) + blend[6],
+        dot(y, mean) + blend[7],
+        dot(z, mean) + blend[8],
+    ];
+    let turned = [x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]];
     (moved, turned)
 }

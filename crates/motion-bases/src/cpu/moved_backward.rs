@@ -4,12 +4,14 @@ use host::{Real, vectorized};
 use rayon::prelude::*;
 use tracing::trace_span;
 
-use super::moved::{BASIS, Inputs, LANES, Lanes, PIECE, frame, gathered, scatter};
-use super::vec3::{Vec3, scaled, sum};
+use super::frame::Vectors;
+use super::lanes::{LANES, Lanes};
+use super::moved::{BASIS, Inputs, PIECE, frame, gathered, scatter};
+use super::vec3::{scaled, sum};
 
 /// Gradients of one piece's Gaussians, and what it adds to those of the bases.
-struct Piece<T> {
-    coefficients: Vec<T>,
+pub(crate) struct Piece<T> {
+    pub(crate) coefficients: Vec<T>,
     means: Vec<T>,
     /// [T, B, 9].
     bases: Vec<T>,
@@ -18,16 +20,35 @@ struct Piece<T> {
 /// Gradients of coefficients, bases and means, from that of the output of [`super::moved::moved`].
 pub(crate) fn moved_backward<T: Real>(inputs: &Inputs<'_, T>, gradient: &[T]) -> [Vec<T>; 3] {
     let _span = trace_span!("motion backward").entered();
+    let (rows, moments) = (inputs.rows(), inputs.moments());
+    let (of_means, of_rotations) = gradient.split_at(moments * rows * 3);
+    let pieces = (0..rows.div_ceil(PIECE)).into_par_iter().map(|piece| {
+        let first = piece * PIECE;
+        vectorized(
+            #[inline(always)]
+            || {
+                piece_backward(
+                    inputs,
+                    first,
+                    #[inline(always)]
+                    |moment, group| {
+                        let start = first + group * LANES;
+                        let range = moment * rows + start..moment * rows + rows.min(start + LANES);
+                        let moved = gathered::<T, 3>(&of_means[range.start * 3..range.end * 3]);
+                        let turned =
+                            gathered::<T, 9>(&of_rotations[range.start * 9..range.end * 9]);
+                        (moved, turned)
+                    },
+                )
+            },
+        )
+    });
+    joined(inputs, pieces.collect())
+}
+
+/// Gradients of coefficients, bases and means, from those of all pieces in their order.
+pub(crate) fn joined<T: Real>(inputs: &Inputs<'_, T>, pieces: Vec<Piece<T>>) -> [Vec<T>; 3] {
     let (rows, bases, moments) = (inputs.rows(), inputs.num_bases(), inputs.moments());
-    let pieces: Vec<Piece<T>> = (0..rows.div_ceil(PIECE))
-        .into_par_iter()
-        .map(|piece| {
-            vectorized(
-                #[inline(always)]
-                || piece_backward(inputs, gradient, piece * PIECE),
-            )
-        })
-        .collect();
     let mut coefficients = Vec::with_capacity(rows * bases);
     let mut means = Vec::with_capacity(rows * 3);
     let mut basis_gradient = vec![T::ZERO; bases * moments * BASIS];
@@ -45,28 +66,30 @@ pub(crate) fn moved_backward<T: Real>(inputs: &Inputs<'_, T>, gradient: &[T]) ->
     [coefficients, basis_gradient, means]
 }
 
+/// The way back of the Gaussians from `first` on, of which `gradient` has at a moment and for a group of [`LANES`] that of the
+/// moved means and of the rotations.
 #[inline(always)]
-fn piece_backward<T: Real>(inputs: &Inputs<'_, T>, gradient: &[T], first: usize) -> Piece<T> {
+pub(crate) fn piece_backward<T: Real>(
+    inputs: &Inputs<'_, T>,
+    first: usize,
+    gradient: impl Fn(usize, usize) -> (Vectors<T>, [Lanes<T>; 9]),
+) -> Piece<T> {
     let (rows, bases, moments) = (inputs.rows(), inputs.num_bases(), inputs.moments());
     let count = PIECE.min(rows - first);
     let groups = count.div_ceil(LANES);
-    let (of_means, of_rotations) = gradient.split_at(moments * rows * 3);
-    let mut weights = vec![[T::ZERO; LANES]; groups * bases];
+    let mut weights = vec![Lanes::ZERO; groups * bases];
     for (group, weights) in weights.chunks_exact_mut(bases).enumerate() {
         inputs.weights(first + group * LANES, weights);
     }
-    let mut weight_gradients = vec![[T::ZERO; LANES]; groups * bases];
-    let mut mean_gradients = vec![[[T::ZERO; LANES]; 3]; groups];
+    let mut weight_gradients = vec![Lanes::ZERO; groups * bases];
+    let mut mean_gradients = vec![[Lanes::ZERO; 3]; groups];
     let mut bases_gradient = Vec::with_capacity(moments * bases * BASIS);
-    let mut part = vec![[[T::ZERO; LANES]; BASIS]; bases];
+    let mut part = vec![[Lanes::ZERO; BASIS]; bases];
     for moment in 0..moments {
-        part.fill([[T::ZERO; LANES]; BASIS]);
+        part.fill([Lanes::ZERO; BASIS]);
         for group in 0..groups {
             let start = first + group * LANES;
-            let range = moment * rows + start..moment * rows + rows.min(start + LANES);
-            let of = range.start * 3..range.end * 3;
-            let moved = gathered::<T, 3>(&of_means[of]);
-            let turned = gathered::<T, 9>(&of_rotations[range.start * 9..range.end * 9]);
+            let (moved, turned) = gradient(moment, group);
             let mean = gathered::<T, 3>(&inputs.means[start * 3..]);
             let these = group * bases..(group + 1) * bases;
             let weights = &weights[these.clone()];
@@ -76,16 +99,13 @@ fn piece_backward<T: Real>(inputs: &Inputs<'_, T>, gradient: &[T], first: usize)
             let weight_gradients = &mut weight_gradients[these];
             for (basis, values) in inputs.bases_at(moment).enumerate() {
                 for c in 0..BASIS {
-                    for lane in 0..LANES {
-                        let gradient = blend_gradient[c][lane];
-                        weight_gradients[basis][lane] += values[c] * gradient;
-                        part[basis][c][lane] += weights[basis][lane] * gradient;
-                    }
+                    weight_gradients[basis] += blend_gradient[c] * values[c];
+                    part[basis][c] += weights[basis] * blend_gradient[c];
                 }
             }
         }
         let sums = part.as_flattened().iter();
-        bases_gradient.extend(sums.map(|lanes| lanes.iter().fold(T::ZERO, |a, b| a + *b)));
+        bases_gradient.extend(sums.map(|lanes| lanes.total()));
     }
     let mut coefficients = vec![T::ZERO; count * bases];
     for ((rows, weights), gradients) in coefficients
@@ -110,43 +130,38 @@ fn piece_backward<T: Real>(inputs: &Inputs<'_, T>, gradient: &[T], first: usize)
 #[inline(always)]
 fn lanes_backward<T: Real>(
     blend: &[Lanes<T>; BASIS],
-    mean: &[Lanes<T>; 3],
-    (moved, turned): (&[Lanes<T>; 3], &[Lanes<T>; 9]),
-    mean_gradient: &mut [Lanes<T>; 3],
+    mean: &Vectors<T>,
+    (moved, turned): (&Vectors<T>, &[Lanes<T>; 9]),
+    mean_gradient: &mut Vectors<T>,
 ) -> [Lanes<T>; BASIS] {
-    let mut gradient = [[T::ZERO; LANES]; BASIS];
-    for lane in 0..LANES {
-        let frame = frame(blend, lane);
-        let of = |v: &[Lanes<T>; 3]| -> Vec3<T> { [v[0][lane], v[1][lane], v[2][lane]] };
-        let (mean, moved) = (of(mean), of(moved));
-        let rows = frame.rows();
-        let mut canonical = scaled(rows[0], moved[0]);
-        canonical = sum(canonical, scaled(rows[1], moved[1]));
-        canonical = sum(canonical, scaled(rows[2], moved[2]));
-        let turned = [0, 1, 2].map(|i| {
-            let given = [0, 1, 2].map(|j| turned[3 * i + j][lane]);
-            sum(given, scaled(mean, moved[i]))
-        });
-        let six = frame.backward(turned);
-        for c in 0..6 {
-            gradient[c][lane] = six[c];
-        }
-        for c in 0..3 {
-            gradient[6 + c][lane] = moved[c];
-            mean_gradient[c][lane] += canonical[c];
-        }
+    let frame = frame(blend);
+    let [x, y, z] = frame.rows();
+    let canonical = sum(
+        sum(scaled(x, moved[0]), scaled(y, moved[1])),
+        scaled(z, moved[2]),
+    );
+    for (gradient, canonical) in mean_gradient.iter_mut().zip(canonical) {
+        *gradient += canonical;
     }
-    gradient
+    let [t0, t1, t2, t3, t4, t5, t6, t7, t8] = *turned;
+    let [g0, g1, g2, g3, g4, g5] = frame.backward([
+        sum([t0, t1, t2], scaled(*mean, moved[0])),
+        sum([t3, t4, t5], scaled(*mean, moved[1])),
+        sum([t6, t7, t8], scaled(*mean, moved[2])),
+    ]);
+    [g0, g1, g2, g3, g4, g5, moved[0], moved[1], moved[2]]
 }
 
 /// The gradients of logits, as rows, from those of their softmax weights.
 #[inline(always)]
-fn softmax_backward<T: Real>(weights: &[Lanes<T>], gradients: &[Lanes<T>], rows: &mut [T]) {
-    let mut mean = [T::ZERO; LANES];
+pub(crate) fn softmax_backward<T: Real>(
+    weights: &[Lanes<T>],
+    gradients: &[Lanes<T>],
+    rows: &mut [T],
+) {
+    let mut mean = Lanes::ZERO;
     for (weight, gradient) in weights.iter().zip(gradients) {
-        for lane in 0..LANES {
-            mean[lane] += weight[lane] * gradient[lane];
-        }
+        mean += *weight * *gradient;
     }
     for (lane, row) in rows.chunks_exact_mut(weights.len()).enumerate() {
         for (b, value) in row.iter_mut().enumerate() {

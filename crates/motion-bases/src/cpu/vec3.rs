@@ -1,17 +1,25 @@
-//! Vectors of three numbers.
+//! Vectors of three numbers, or of three times the numbers of what stands side by side.
 
-use host::Real;
+use std::ops::{Add, Mul, Sub};
 
 /// x, y, z.
 pub(crate) type Vec3<T> = [T; 3];
 
+/// What vectors are made of.
+pub(crate) trait Number:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+{
+}
+
+impl<T: Copy + Add<Output = T> + Sub<Output = T> + Mul<Output = T>> Number for T {}
+
 #[inline(always)]
-pub(crate) fn dot<T: Real>(a: Vec3<T>, b: Vec3<T>) -> T {
+pub(crate) fn dot<T: Number>(a: Vec3<T>, b: Vec3<T>) -> T {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[inline(always)]
-pub(crate) fn cross<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
+pub(crate) fn cross<T: Number>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
     [
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -20,21 +28,16 @@ pub(crate) fn cross<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
 }
 
 #[inline(always)]
-pub(crate) fn scaled<T: Real>(a: Vec3<T>, by: T) -> Vec3<T> {
-    a.map(|v| v * by)
+pub(crate) fn scaled<T: Number>(a: Vec3<T>, by: T) -> Vec3<T> {
+    [a[0] * by, a[1] * by, a[2] * by]
 }
 
 #[inline(always)]
-pub(crate) fn sum<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
+pub(crate) fn sum<T: Number>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
 #[inline(always)]
-pub(crate) fn difference<T: Real>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
+pub(crate) fn difference<T: Number>(a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-#[inline(always)]
-pub(crate) fn select<T: Real>(yes: bool, a: Vec3<T>, b: Vec3<T>) -> Vec3<T> {
-    [0, 1, 2].map(|i| if yes { a[i] } else { b[i] })
 }
