@@ -54,7 +54,7 @@ pub fn curves(
             ..Settings::default()
         };
         settings.blur.model = model;
-        // The same start for all: the first fit of the motion's bases takes a GPU that a CPU plays many minutes.
+        // The same start for all, so that what differs is what iterations do.
         let start = Trainer::new(scene()?, settings, &Device::flex())?;
         let mut trainer = on_device(&start, scene()?, device)?;
         let mut curve = Curve {

@@ -89,7 +89,7 @@ pub(crate) fn fit<T: Real>(fitted: &Fitted<'_, T>, step: &FitStep) -> Slope<T> {
         hidden: T::of(0.5 * HIDDEN_WEIGHT / total),
         limit,
     };
-    let sparsity = T::of(SPARSITY_WEIGHT / group.len.max(1) as f64);
+    let sparsity = T::of(SPARSITY_WEIGHT / group.len as f64);
     let slopes: Vec<(T, Piece<T>)> = paths
         .par_iter()
         .enumerate()
@@ -117,7 +117,7 @@ pub(crate) fn fit<T: Real>(fitted: &Fitted<'_, T>, step: &FitStep) -> Slope<T> {
         }
     }
     Slope {
-        // Of 1 less the sum of squares, whose mean is taken, the pieces have the latter.
+        // Sparsity is 1 less a mean of squares, which the pieces have.
         loss: loss + acceleration + T::of(SPARSITY_WEIGHT),
         gradients: [of_rots, of_transls, all_coefficients, all_means],
     }
