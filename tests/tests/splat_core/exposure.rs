@@ -1,6 +1,7 @@
 //! The exposing op on tensors: gradients through every input in f64, agreement with renders that are averaged one by one,
 //! the same bits with any number of threads, and what is refused.
 
+use crate::tensors::{N, inputs as still_inputs};
 use burn::tensor::{DType, Device, Tensor};
 use limpid_tests::{
     GradLimits, check_gradients, computes, devices, devices_in, in_pool, noise, tensor, values,
@@ -10,40 +11,29 @@ use splat_core::{
     Camera, Exposure, Extra, Movers, SplatError, Splats, Transfer, Viewpoint, expose, render,
 };
 
-/// Gaussians, those of them that move, and samples.
-const N: usize = 5;
+/// Gaussians that move, and samples.
 const MOVING: usize = 2;
 const SAMPLES: usize = 3;
 
 /// Named inputs of an exposure as matrices: wide Gaussians in front of a slightly turned camera that moves and is sheared.
 fn inputs() -> Vec<(&'static str, [usize; 2], Vec<f64>)> {
-    let scaled = |count, seed, scale: f64, shift: f64| -> Vec<f64> {
-        let noise = noise(count, seed);
-        noise.iter().map(|v| v * scale + shift).collect()
-    };
-    let mut means = scaled(3 * N, 1, 0.8, 0.0);
-    means.iter_mut().skip(2).step_by(3).for_each(|z| *z += 3.0);
-    let (s, c) = 0.1_f64.sin_cos();
-    let pose = vec![c, 0.0, s, 0.1, 0.0, 1.0, 0.0, -0.2, -s, 0.0, c, 0.3];
+    let [means, quats, _, log_scales, opacity_logits, sh, pose, _] = still_inputs();
     let around = |values: &[f64], seed, scale: f64| -> Vec<f64> {
         let noise = noise(SAMPLES * values.len(), seed);
         let moved = noise.iter().zip(values.iter().cycle());
         moved.map(|(noise, v)| v + scale * noise).collect()
     };
     let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0].repeat(MOVING);
-    let poses = around(&pose, 8, 0.03);
-    let moving_means = around(&means[..3 * MOVING], 9, 0.1);
+    let poses = around(&pose.2, 8, 0.03);
+    let moving_means = around(&means.2[..3 * MOVING], 9, 0.1);
     let left_rotations = around(&identity, 10, 0.1);
-    let mut sh = scaled(N * 48, 3, 0.1, 0.0);
-    sh.chunks_exact_mut(48)
-        .for_each(|row| row[..3].iter_mut().for_each(|v| *v += 1.0));
     vec![
-        ("means", [N, 3], means),
-        ("quats", [N, 4], scaled(4 * N, 4, 1.3, 0.1)),
-        ("log_scales", [N, 3], scaled(3 * N, 5, 0.2, -0.3)),
-        ("opacity_logits", [N, 1], scaled(N, 6, 1.0, 0.5)),
-        ("sh", [N, 48], sh),
-        ("cam_from_world", [3, 4], pose),
+        means,
+        quats,
+        log_scales,
+        opacity_logits,
+        sh,
+        pose,
         ("poses", [SAMPLES, 12], poses),
         ("moving_means", [SAMPLES, 3 * MOVING], moving_means),
         ("left_rotations", [SAMPLES, 9 * MOVING], left_rotations),

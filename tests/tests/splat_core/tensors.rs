@@ -10,7 +10,8 @@ use splat_core::{
     Camera, Extra, Rendered, SplatError, Splats, Viewpoint, prepare, rasterize, render,
 };
 
-const N: usize = 5;
+/// Gaussians.
+pub(crate) const N: usize = 5;
 const FEATURES: usize = 2;
 
 fn camera() -> Camera {
@@ -18,7 +19,7 @@ fn camera() -> Camera {
 }
 
 /// Named inputs of a render as matrices, wide Gaussians in front of a slightly turned camera.
-fn inputs() -> Vec<(&'static str, [usize; 2], Vec<f64>)> {
+pub(crate) fn inputs() -> [(&'static str, [usize; 2], Vec<f64>); 8] {
     let scaled = |count, seed, scale: f64, shift: f64| -> Vec<f64> {
         noise(count, seed)
             .iter()
@@ -34,7 +35,7 @@ fn inputs() -> Vec<(&'static str, [usize; 2], Vec<f64>)> {
     let mut sh = scaled(N * 48, 3, 0.1, 0.0);
     sh.chunks_exact_mut(48)
         .for_each(|row| row[..3].iter_mut().for_each(|v| *v += 1.0));
-    vec![
+    [
         ("means", [N, 3], means),
         ("quats", [N, 4], scaled(4 * N, 4, 1.3, 0.1)),
         ("left_rotations", [2, 9], left),
