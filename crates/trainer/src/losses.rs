@@ -50,9 +50,6 @@ fn l1_and_ssim(a: Tensor<3>, b: Tensor<3>, weights: [f64; 2]) -> Tensor<1> {
     ))
 }
 
-/// Distances of the second differences in [`detail_loss`], px.
-const DETAIL_STEPS: [usize; 2] = [1, 2];
-
 /// L1 between the fine detail of two pictures [H, W, 3], summed over two scales: a pixel less the mean of its four neighbours,
 /// one and two pixels away. Shape `[1]`.
 ///
@@ -60,31 +57,16 @@ const DETAIL_STEPS: [usize; 2] = [1, 2];
 /// is coarse. Differentiable in `render`; pictures too small for a scale have no loss there.
 ///
 /// # Panics
-/// Panics if the pictures differ in shape.
+/// Panics if the pictures differ in shape or have other channels than three.
 #[must_use]
 pub fn detail_loss(render: Tensor<3>, target: Tensor<3>) -> Tensor<1> {
-    let [height, width, _] = render.dims();
     assert_eq!(render.dims(), target.dims(), "two pictures of one size");
-    let options = (&render.device(), render.dtype());
-    let residual = render - target;
-    let at = |down: usize, right: usize, step: usize| {
-        let rows = down..down + height - 2 * step;
-        residual
-            .clone()
-            .slice([rows, right..right + width - 2 * step])
-    };
-    let mut sum = Tensor::zeros([1], options);
-    for step in DETAIL_STEPS
-        .into_iter()
-        .filter(|step| 2 * step < height.min(width))
-    {
-        let neighbors = at(0, step, step)
-            + at(2 * step, step, step)
-            + at(step, 0, step)
-            + at(step, 2 * step, step);
-        sum = sum + mean((at(step, step, step) - neighbors.mul_scalar(0.25)).abs());
-    }
-    sum
+    assert_eq!(render.dims()[2], 3, "pictures have three channels");
+    let _span = tracing::trace_span!("detail loss").entered();
+    Tensor::from_dispatch(<Dispatch as ImageLossOps>::detail_loss(
+        render.into_dispatch(),
+        target.into_dispatch(),
+    ))
 }
 
 /// L1 between the sharp render and the blurry frame after both are averaged over blocks of `factor` x `factor` pixels.

@@ -69,7 +69,7 @@ pub(crate) trait TrainerOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-/// The op with a backward of its own.
+/// The ops with a backward of their own.
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
@@ -83,6 +83,9 @@ pub(crate) trait ImageLossOps: Backend {
         b: FloatTensor<Self>,
         weights: [f64; 2],
     ) -> FloatTensor<Self>;
+
+    /// What the difference of two pictures `[H, W, 3]` has beyond its surroundings, `[1]`; differentiable in `a`.
+    fn detail_loss(a: FloatTensor<Self>, b: FloatTensor<Self>) -> FloatTensor<Self>;
 }
 
 /// What the backward needs: called from the autodiff backend only, not dispatched.
@@ -92,5 +95,11 @@ pub(crate) trait ImageLossBackwardOps: ImageLossOps {
         a: FloatTensor<Self>,
         b: FloatTensor<Self>,
         weights: [f64; 2],
+    ) -> (FloatTensor<Self>, FloatTensor<Self>);
+
+    /// The same of [`ImageLossOps::detail_loss`].
+    fn detail_loss_and_gradient(
+        a: FloatTensor<Self>,
+        b: FloatTensor<Self>,
     ) -> (FloatTensor<Self>, FloatTensor<Self>);
 }

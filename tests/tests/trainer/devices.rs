@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device, Tensor, TensorData};
 use host::{all_zero, count_not_finite, first_not_finite};
 use limpid_tests::{assert_close, devices, map_like, noise, rounded, tensor, unit_noise, values};
 use trainer::adam::{AdamState, AdamStep, LearningRate, Steps, adam_step};
-use trainer::losses::{depth_loss, mask_loss, photometric, ssim};
+use trainer::losses::{depth_loss, detail_loss, mask_loss, photometric, ssim};
 use trainer::metrics::psnr_of;
 
 /// A loss of a tensor and its gradient.
@@ -83,6 +83,17 @@ fn image_losses() {
             [3e-6, 3e-5],
             &|t, d, dtype| photometric(t, of(d, dtype, &b), 0.2),
         );
+        if height.min(width) >= 3 {
+            // Nothing that is a multiple of one number: second differences that are 0 have no sign.
+            let a: Vec<f64> = noise(count, 3).iter().map(|v| 0.5 + 0.5 * v).collect();
+            check(
+                &format!("detail {size}"),
+                &a,
+                shape,
+                [3e-6, 3e-5],
+                &|t, d, dtype| detail_loss(t, of(d, dtype, &b)),
+            );
+        }
         // Flat pictures, whose variances are nothing but rounding.
         let flat = |level| rounded(&vec![level; count]);
         check(

@@ -121,7 +121,7 @@ fn ssim_has_the_same_bits_with_one_and_two_threads() {
 
 #[test]
 fn gradients_of_the_picture_losses() {
-    let (width, height) = (9, 7);
+    let (width, height) = (9, 11);
     let a = unit_noise(width * height * 3, 3);
     // Never equal, so that L1 has no kink nearby, and of one sign within a block of the averages.
     let b: Vec<f64> = unit_noise(a.len(), 9)
@@ -178,6 +178,43 @@ fn fine_detail_is_what_differs_from_the_pixels_around_it() {
         assert!((of(stripes) - 0.15 - 0.3).abs() < 1e-12, "{name}");
         let one = tensor(&[0.5; 3], [1, 1, 3], &device, DType::F64);
         assert_eq!(scalar(detail_loss(one.clone(), one * 3.0)), 0.0, "{name}");
+    }
+}
+
+#[test]
+fn fine_detail_is_a_mean_over_each_scale() {
+    for [height, width] in [[3, 3], [4, 30], [19, 5], [33, 21]] {
+        let shape = [height, width, 3];
+        let [a, b] = [3, 9].map(|seed| unit_noise(height * width * 3, seed));
+        let at = |y: usize, x: usize, c: usize| {
+            let i = (y * width + x) * 3 + c;
+            a[i] - b[i]
+        };
+        let mut expected = 0.0;
+        for step in [1, 2] {
+            let (mut sum, mut count) = (0.0, 0.0_f64);
+            for y in step..height.saturating_sub(step) {
+                for x in step..width.saturating_sub(step) {
+                    for c in 0..3 {
+                        let around = at(y - step, x, c)
+                            + at(y + step, x, c)
+                            + at(y, x - step, c)
+                            + at(y, x + step, c);
+                        sum += (at(y, x, c) - around / 4.0).abs();
+                        count += 1.0;
+                    }
+                }
+            }
+            expected += sum / count.max(1.0);
+        }
+        for (name, device) in devices_in(DType::F64) {
+            let [a, b] = [&a, &b].map(|v| tensor::<3>(v, shape, &device, DType::F64));
+            let found = scalar(detail_loss(a, b));
+            assert!(
+                (found - expected).abs() < 1e-12,
+                "{name}, {height}x{width}: {found}, not {expected}"
+            );
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use burn::tensor::Shape;
 use host::{HostBackend, HostFloat, Real as _, tensor, with_float};
 
 use crate::cpu::adam::{self, AdamUpdate};
-use crate::cpu::{depth, mask, reduce, ssim};
+use crate::cpu::{depth, detail, mask, reduce, ssim};
 use crate::ops::{AdamTensors, DepthTargets, ImageLossBackwardOps, ImageLossOps, TrainerOps};
 
 macro_rules! host_ops {
@@ -61,6 +61,10 @@ macro_rules! host_ops {
             ) -> FloatTensor<Self> {
                 with_float!(a.dtype(), T => image_loss_on::<T, Self>(a, b, weights, false)).0
             }
+
+            fn detail_loss(a: FloatTensor<Self>, b: FloatTensor<Self>) -> FloatTensor<Self> {
+                with_float!(a.dtype(), T => detail_loss_on::<T, Self>(a, b, false)).0
+            }
         }
 
         impl ImageLossBackwardOps for $backend {
@@ -71,6 +75,15 @@ macro_rules! host_ops {
             ) -> (FloatTensor<Self>, FloatTensor<Self>) {
                 let (value, gradient) =
                     with_float!(a.dtype(), T => image_loss_on::<T, Self>(a, b, weights, true));
+                (value, gradient.expect("it was wanted"))
+            }
+
+            fn detail_loss_and_gradient(
+                a: FloatTensor<Self>,
+                b: FloatTensor<Self>,
+            ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+                let (value, gradient) =
+                    with_float!(a.dtype(), T => detail_loss_on::<T, Self>(a, b, true));
                 (value, gradient.expect("it was wanted"))
             }
         }
@@ -150,15 +163,38 @@ fn image_loss_on<T: HostFloat, B: HostBackend>(
     wanted: bool,
 ) -> (FloatTensor<B>, Option<FloatTensor<B>>) {
     let shape = a.shape();
-    let (value, gradient) = ssim::image_loss(
+    let loss = ssim::image_loss(
         &B::elements::<T>(&mut a),
         &B::elements::<T>(&mut b),
         [shape[0], shape[1]],
         weights,
         wanted,
     );
+    as_tensors::<T, B>(loss, &a)
+}
+
+fn detail_loss_on<T: HostFloat, B: HostBackend>(
+    mut a: FloatTensor<B>,
+    mut b: FloatTensor<B>,
+    wanted: bool,
+) -> (FloatTensor<B>, Option<FloatTensor<B>>) {
+    let shape = a.shape();
+    let loss = detail::detail_loss(
+        &B::elements::<T>(&mut a),
+        &B::elements::<T>(&mut b),
+        [shape[0], shape[1]],
+        wanted,
+    );
+    as_tensors::<T, B>(loss, &a)
+}
+
+/// A loss `[1]`, and its gradient, which has the shape of `like`.
+fn as_tensors<T: HostFloat, B: HostBackend>(
+    (value, gradient): (f64, Option<Vec<T>>),
+    like: &FloatTensor<B>,
+) -> (FloatTensor<B>, Option<FloatTensor<B>>) {
     (
-        tensor::<T, B>(vec![T::of(value)], Shape::from([1]), &a),
-        gradient.map(|values| tensor::<T, B>(values, shape, &a)),
+        tensor::<T, B>(vec![T::of(value)], Shape::from([1]), like),
+        gradient.map(|values| tensor::<T, B>(values, like.shape(), like)),
     )
 }

@@ -10,14 +10,16 @@ use host::tensor;
 
 use crate::cpu::adam::{AdamUpdate, SteppedRows, corrections};
 use crate::cpu::depth::{NEAREST, SAMPLE};
+use crate::cpu::detail::weights as detail_weights;
 use crate::cube::adam::{WindowLaunch, adam_kernel};
 use crate::cube::depth::{FIT, counts_kernel, fit_kernel, sample_kernel, targets_kernel};
+use crate::cube::detail::{detail_kernel, gather_kernel};
 use crate::cube::mask::{
     BINS, LEVELS, columns_kernel, histogram_kernel, rows_kernel, weights_kernel,
 };
 use crate::cube::reduce::{TEAM, squared_error_kernel, sums_kernel};
 use crate::cube::ssim::{gradient_kernel, lanes_kernel, tiles};
-use crate::cube::{depth, mask, reduce};
+use crate::cube::{depth, detail, mask, reduce};
 use crate::ops::{AdamTensors, DepthTargets, ImageLossBackwardOps, ImageLossOps, TrainerOps};
 
 /// A copy on the device of `like`.
@@ -364,6 +366,49 @@ fn image_loss_on(
     (value, gradient)
 }
 
+fn detail_loss_on(a: CubeTensor, b: CubeTensor, wanted: bool) -> (CubeTensor, Option<CubeTensor>) {
+    let [a, b] = [a, b].map(flat);
+    let client = a.client.clone();
+    let shape = a.meta.shape().clone();
+    let samples = a.meta.num_elements();
+    let [first, second] = detail_weights([shape[0], shape[1]]).map(|weight| weight as f32);
+    if samples == 0 {
+        return (zeros(&a, [1]), wanted.then_some(a));
+    }
+    let width = shape[1] as u32;
+    let signs = empty(&a, [if wanted { 2 * samples } else { 1 }], DType::F32);
+    let blocks = samples.div_ceil(detail::BLOCK);
+    let terms = empty(&a, [blocks], DType::F32);
+    let (count, dim) = cubes(&client, blocks, TEAM);
+    detail_kernel::launch(
+        &client,
+        count,
+        dim,
+        a.clone().into_buffer_arg(),
+        b.into_buffer_arg(),
+        signs.clone().into_buffer_arg(),
+        terms.clone().into_buffer_arg(),
+        width,
+        first,
+        second,
+        wanted,
+    );
+    let gradient = wanted.then(|| {
+        let gradient = empty(&a, shape, DType::F32);
+        let (count, dim) = units(&client, samples);
+        gather_kernel::launch(
+            &client,
+            count,
+            dim,
+            signs.into_buffer_arg(),
+            gradient.clone().into_buffer_arg(),
+            width,
+        );
+        gradient
+    });
+    (sums_of_rows(terms, 1), gradient)
+}
+
 impl ImageLossOps for CubeBackend {
     fn image_loss(
         a: FloatTensor<Self>,
@@ -371,6 +416,10 @@ impl ImageLossOps for CubeBackend {
         weights: [f64; 2],
     ) -> FloatTensor<Self> {
         image_loss_on(a, b, weights, false).0
+    }
+
+    fn detail_loss(a: FloatTensor<Self>, b: FloatTensor<Self>) -> FloatTensor<Self> {
+        detail_loss_on(a, b, false).0
     }
 }
 
@@ -381,6 +430,13 @@ impl ImageLossBackwardOps for CubeBackend {
         weights: [f64; 2],
     ) -> (FloatTensor<Self>, FloatTensor<Self>) {
         let (value, gradient) = image_loss_on(a, b, weights, true);
+        (value, gradient.expect("it was wanted"))
+    }
+    fn detail_loss_and_gradient(
+        a: FloatTensor<Self>,
+        b: FloatTensor<Self>,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (value, gradient) = detail_loss_on(a, b, true);
         (value, gradient.expect("it was wanted"))
     }
 }

@@ -5,6 +5,7 @@
 
 pub(crate) mod adam;
 pub(crate) mod depth;
+pub(crate) mod detail;
 pub(crate) mod mask;
 pub(crate) mod reduce;
 pub(crate) mod ssim;
