@@ -66,7 +66,7 @@ fn an_iteration_launches_and_waits_no_more_than_its_least_time_says() {
     assert_eq!(counted.len(), 3);
     // Without a blur model, with kernels, with the camera: a render each, which is waited for once, and an account at the end;
     // the camera has an exposure too, and reads what its path is.
-    for (iteration, (launches, waits)) in counted.iter().zip([(210, 2), (410, 2), (370, 4)]) {
+    for (iteration, (launches, waits)) in counted.iter().zip([(130, 2), (330, 2), (290, 4)]) {
         let found = &iteration.counted;
         assert!(
             found.launches <= launches,
