@@ -41,16 +41,16 @@ pub(crate) fn detail_loss<T: Real>(
     }
     let [height, width] = size;
     let row = width * CHANNELS;
+    let task = ROWS * row;
     let mut residual = filled(T::ZERO, a.len());
-    let blocks = residual.par_chunks_mut(ROWS * row);
-    let pairs = a.par_chunks(ROWS * row);
-    blocks
-        .zip(pairs.zip(b.par_chunks(ROWS * row)))
-        .for_each(|(block, (a, b))| {
+    residual
+        .par_chunks_mut(task)
+        .zip(a.par_chunks(task).zip(b.par_chunks(task)))
+        .for_each(|(residual, (a, b))| {
             vectorized(
                 #[inline(always)]
                 || {
-                    for ((v, a), b) in block.iter_mut().zip(a).zip(b) {
+                    for ((v, a), b) in residual.iter_mut().zip(a).zip(b) {
                         *v = *a - *b;
                     }
                 },
@@ -65,7 +65,7 @@ pub(crate) fn detail_loss<T: Real>(
         let across = CHANNELS * step..row - CHANNELS * step;
         let mut standing_out = filled(T::ZERO, a.len());
         let sums: Vec<f64> = standing_out
-            .par_chunks_mut(ROWS * row)
+            .par_chunks_mut(task)
             .enumerate()
             .map(|(block, rows)| {
                 vectorized(
@@ -91,7 +91,7 @@ pub(crate) fn detail_loss<T: Real>(
         };
         let weight = T::of(weight);
         gradient
-            .par_chunks_mut(ROWS * row)
+            .par_chunks_mut(task)
             .enumerate()
             .for_each(|(block, rows)| {
                 vectorized(
@@ -100,10 +100,10 @@ pub(crate) fn detail_loss<T: Real>(
                         for (k, out) in rows.chunks_exact_mut(row).enumerate() {
                             let y = block * ROWS + k;
                             let at = |y: usize| &standing_out[y * row..(y + 1) * row];
-                            let shift = CHANNELS * step;
-                            let pull = weight * T::of(-0.25);
-                            let own = at(y);
+                            let (own, shift) = (at(y), CHANNELS * step);
                             add_signs(out, own, weight);
+                            // What a sample is compared with has a quarter of its sign, the other way round.
+                            let pull = weight * T::of(-0.25);
                             add_signs(&mut out[shift..], own, pull);
                             add_signs(out, &own[shift..], pull);
                             if y >= step {
