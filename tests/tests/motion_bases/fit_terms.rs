@@ -132,7 +132,8 @@ fn defined(
         }));
     let along = |row: usize, t: usize, step: DVec3| {
         let center = cameras[t].cam_from_world.inverse().translation / extent;
-        step.dot((at(row, t) - center).normalize()).powi(2)
+        let ray = at(row, t) - center;
+        step.dot(ray).powi(2) / ray.length_squared()
     };
     loss + 0.1 * mean(paths().map(|(row, t)| along(row, t, at(row, t) - at(row, t - 1))))
         + 0.1 * mean(paths().map(|(row, t)| along(row, t, at(row, t + 1) - at(row, t))))
