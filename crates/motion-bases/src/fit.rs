@@ -13,8 +13,6 @@ use crate::ops::MotionOps;
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-/// Smallest z-depth, relative to the extent, by which a projection divides.
-pub(crate) const MIN_DEPTH: f64 = 1e-5;
 /// Share of the reprojection errors that counts; the largest ones do not.
 pub(crate) const TRIM: f64 = 0.95;
 

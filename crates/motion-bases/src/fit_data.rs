@@ -3,7 +3,6 @@
 use crate::MotionError;
 use crate::cpu::lanes::LANES;
 use crate::cpu::moved::PIECE;
-use crate::fit::MIN_DEPTH;
 use crate::init::MotionInit;
 use glam::{DAffine3, DVec3};
 use std::ops::Range;
@@ -12,6 +11,8 @@ use std::sync::Arc;
 /// Entries (tracks times frames) that a step looks at. With more than that the tracks are dealt into
 /// groups of equal size, track by track in turn, and the steps go through the groups.
 const STEP_ENTRIES: usize = 36_000;
+/// Smallest z-depth, relative to the extent, by which a projection divides.
+pub(crate) const MIN_DEPTH: f64 = 1e-5;
 
 /// The camera of a frame, as plain values.
 #[derive(Clone, Copy, Debug, PartialEq)]

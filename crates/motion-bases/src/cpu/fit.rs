@@ -9,10 +9,8 @@ use super::lanes::{LANES, Lanes};
 use super::moved::{BASIS, Inputs, PIECE, move_lanes};
 use super::moved_backward::{Piece, joined, piece_backward, softmax_backward};
 use super::vec3::{Vec3, difference, dot, scaled, sum};
-use crate::fit::{
-    ACCELERATION_WEIGHT, ALONG_RAY_WEIGHT, HIDDEN_WEIGHT, MIN_DEPTH, SPARSITY_WEIGHT, TRIM,
-};
-use crate::fit_data::{FitStep, Group, Hidden};
+use crate::fit::{ACCELERATION_WEIGHT, ALONG_RAY_WEIGHT, HIDDEN_WEIGHT, SPARSITY_WEIGHT, TRIM};
+use crate::fit_data::{FitStep, Group, Hidden, MIN_DEPTH};
 use crate::rotation::MAX_ENTRY;
 use crate::smoothness::{REST, TRANSLATION_WEIGHT};
 use crate::statistics::quantile;
