@@ -15,6 +15,8 @@ use burn::backend::{Backend, TensorMetadata as _, tensor::FloatTensor};
 use burn::tensor::{Element, Shape, TensorData, read_sync};
 
 use crate::Real;
+#[cfg(feature = "cube")]
+use crate::read::{said, waiting};
 
 /// The float types that kernels and tensors share.
 pub trait HostFloat: Real + Element {}
@@ -81,6 +83,14 @@ impl HostBackend for burn::backend::NdArray {
 impl HostBackend for burn_cubecl::CubeBackend {
     fn elements<T: HostFloat>(tensor: &mut FloatTensor<Self>) -> Cow<'_, [T]> {
         Cow::Owned(Self::into_elements(tensor.clone()))
+    }
+
+    fn into_elements<T: HostFloat>(tensor: FloatTensor<Self>) -> Vec<T> {
+        let _span = waiting();
+        read_sync(Self::float_into_data(tensor))
+            .unwrap_or_else(|reason| panic!("the device failed: {}", said(reason)))
+            .try_into_vec()
+            .expect("of the dtype that was matched")
     }
 }
 
