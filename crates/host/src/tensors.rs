@@ -15,8 +15,9 @@ use burn::backend::{Backend, TensorMetadata as _, tensor::FloatTensor};
 use burn::tensor::{Element, Shape, TensorData, read_sync};
 
 use crate::Real;
+use crate::read::said;
 #[cfg(feature = "cube")]
-use crate::read::{said, waiting};
+use crate::read::waiting;
 
 /// The float types that kernels and tensors share.
 pub trait HostFloat: Real + Element {}
@@ -36,11 +37,15 @@ pub trait HostBackend: Backend {
     /// # Panics
     /// If `T` is not the tensor's dtype.
     fn into_elements<T: HostFloat>(tensor: FloatTensor<Self>) -> Vec<T> {
-        read_sync(Self::float_into_data(tensor))
-            .expect("reading main memory cannot fail")
-            .try_into_vec()
-            .expect("of the dtype that was matched")
+        copied::<T, Self>(tensor)
     }
+}
+
+fn copied<T: HostFloat, B: Backend>(tensor: FloatTensor<B>) -> Vec<T> {
+    read_sync(B::float_into_data(tensor))
+        .unwrap_or_else(|reason| panic!("the device failed: {}", said(reason)))
+        .try_into_vec()
+        .expect("of the dtype that was matched")
 }
 
 #[cfg(feature = "flex")]
@@ -87,10 +92,7 @@ impl HostBackend for burn_cubecl::CubeBackend {
 
     fn into_elements<T: HostFloat>(tensor: FloatTensor<Self>) -> Vec<T> {
         let _span = waiting();
-        read_sync(Self::float_into_data(tensor))
-            .unwrap_or_else(|reason| panic!("the device failed: {}", said(reason)))
-            .try_into_vec()
-            .expect("of the dtype that was matched")
+        copied::<T, Self>(tensor)
     }
 }
 
