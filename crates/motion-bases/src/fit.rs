@@ -72,7 +72,6 @@ pub fn fit_loss(fit: &Fit<'_>, data: &FitData, step: usize, num_steps: usize) ->
     let growth = ((progress - SMOOTHNESS_START) / (1.0 - SMOOTHNESS_START)).clamp(0.0, 1.0);
     let step = FitStep {
         problem: problem.clone(),
-        num_bases,
         group: step % problem.groups.len(),
         smooth: SMOOTHNESS_WEIGHT.0 + (SMOOTHNESS_WEIGHT.1 - SMOOTHNESS_WEIGHT.0) * growth,
     };

@@ -89,7 +89,6 @@ impl Hidden {
 #[derive(Clone, Debug)]
 pub(crate) struct FitStep {
     pub(crate) problem: Arc<Problem>,
-    pub(crate) num_bases: usize,
     /// Which group of tracks it looks at.
     pub(crate) group: usize,
     /// Weight of smoothness.
@@ -202,9 +201,9 @@ impl Group {
         }
     }
 
-    /// Its tracks, of so many.
-    pub(crate) fn rows(&self, num_tracks: usize) -> impl Iterator<Item = usize> + use<> {
-        (self.first..num_tracks).step_by(self.stride)
+    /// Its tracks.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = usize> + use<> {
+        (self.first..).step_by(self.stride).take(self.len)
     }
 
     /// Those of [`Self::hidden`] that are of some of its tracks.

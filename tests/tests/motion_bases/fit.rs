@@ -1,6 +1,6 @@
 //! Motion bases from tracks: what the start recovers, and what the first fit adds.
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Device, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
 use limpid_tests::{GradLimits, check_gradients, devices_in, in_pool, quick_devices, tensor};
 use motion_bases::{
@@ -94,20 +94,8 @@ struct Fitting {
 
 impl Fitting {
     fn new(init: &MotionInit, cameras: &[FitCamera], device: &Device, dtype: DType) -> Self {
-        let bases = MotionBases::from_init(init, device, dtype);
-        let (p, n) = (init.tracks.len(), init.tracks.num_frames);
-        let tensor = |values: Vec<f64>, width: usize| {
-            Tensor::<2>::from_data(TensorData::new(values, [p, width]), (device, dtype))
-        };
-        let coefficients = init.coefficients.iter().map(|&v| f64::from(v)).collect();
-        let means =
-            (0..p).flat_map(|row| init.tracks.positions[row * n + init.canonical_frame].to_array());
-        let leaves = [
-            bases.rots,
-            bases.transls,
-            tensor(coefficients, init.num_bases),
-            tensor(means.collect(), 3),
-        ];
+        let n = init.tracks.num_frames;
+        let leaves = start(init).map(|(_, shape, values)| tensor(&values, shape, device, dtype));
         let moments = [0, 1, 2, 3].map(|k: usize| [leaves[k].zeros_like(), leaves[k].zeros_like()]);
         Self {
             leaves,
@@ -177,19 +165,25 @@ impl Fitting {
 /// What is fitted, by name, with its shape.
 pub(crate) type Start = [(&'static str, [usize; 2], Vec<f64>); 4];
 
-/// The start that was found, each of its numbers off by up to 0.05.
-pub(crate) fn shaken_start(init: &MotionInit) -> Start {
+/// The start that was found.
+fn start(init: &MotionInit) -> Start {
     let (p, n, b) = (init.tracks.len(), init.tracks.num_frames, init.num_bases);
-    let mut random = Noise(5);
-    let mut shaken =
-        |values: &[f64]| -> Vec<f64> { values.iter().map(|v| v + 0.05 * random.next()).collect() };
-    let coefficients: Vec<f64> = init.coefficients.iter().map(|&v| f64::from(v)).collect();
+    let coefficients = init.coefficients.iter().map(|&v| f64::from(v));
     [
-        ("rots", [b, n * 6], shaken(&init.rots)),
-        ("transls", [b, n * 3], shaken(&init.transls)),
-        ("coefficients", [p, b], shaken(&coefficients)),
-        ("means", [p, 3], shaken(&init.canonical_means())),
+        ("rots", [b, n * 6], init.rots.clone()),
+        ("transls", [b, n * 3], init.transls.clone()),
+        ("coefficients", [p, b], coefficients.collect()),
+        ("means", [p, 3], init.canonical_means()),
     ]
+}
+
+/// The same, each of its numbers off by up to 0.05.
+pub(crate) fn shaken_start(init: &MotionInit) -> Start {
+    let (mut start, mut random) = (start(init), Noise(5));
+    for (_, _, values) in &mut start {
+        values.iter_mut().for_each(|v| *v += 0.05 * random.next());
+    }
+    start
 }
 
 /// What is fitted, as tensors.
@@ -201,9 +195,11 @@ pub(crate) struct Moving {
 
 impl Moving {
     pub(crate) fn new(start: &Start, num_frames: usize, device: &Device, dtype: DType) -> Self {
-        let [rots, transls, coefficients, means] = start
-            .each_ref()
-            .map(|(_, shape, values)| tensor::<2>(values, *shape, device, dtype));
+        let of = |(_, shape, values): &(_, _, Vec<f64>)| tensor(values, *shape, device, dtype);
+        Self::of(start.each_ref().map(of), num_frames)
+    }
+
+    fn of([rots, transls, coefficients, means]: [Tensor<2>; 4], num_frames: usize) -> Self {
         Self {
             bases: MotionBases {
                 rots,
@@ -217,15 +213,8 @@ impl Moving {
 
     /// The same, of which gradients are asked.
     pub(crate) fn leaves(self) -> Self {
-        Self {
-            bases: MotionBases {
-                rots: self.bases.rots.require_grad(),
-                transls: self.bases.transls.require_grad(),
-                num_frames: self.bases.num_frames,
-            },
-            coefficients: self.coefficients.require_grad(),
-            means: self.means.require_grad(),
-        }
+        let leaves = self.tensors().map(|tensor| tensor.clone().require_grad());
+        Self::of(leaves, self.bases.num_frames)
     }
 
     pub(crate) fn fit(&self) -> Fit<'_> {
@@ -341,18 +330,8 @@ fn the_loss_has_the_right_gradient() {
         let inputs = shaken_start(&init);
         for step in [0, 9] {
             check_gradients(&device, &inputs, &[], GradLimits::default(), |x| {
-                let [rots, transls, coefficients, means] = x else {
-                    panic!("as many as there are inputs")
-                };
-                let moving = Moving {
-                    bases: MotionBases {
-                        rots: rots.clone(),
-                        transls: transls.clone(),
-                        num_frames: 5,
-                    },
-                    coefficients: coefficients.clone(),
-                    means: means.clone(),
-                };
+                let inputs = x.to_vec().try_into().expect("as many as there are");
+                let moving = Moving::of(inputs, 5);
                 fit_loss(&moving.fit(), &data, step, 10)
             });
         }

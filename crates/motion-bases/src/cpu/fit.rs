@@ -55,9 +55,10 @@ struct Weights<T> {
 pub(crate) fn fit<T: Real>(fitted: &Fitted<'_, T>, step: &FitStep) -> Slope<T> {
     let _span = trace_span!("first fit").entered();
     let (problem, group) = (&step.problem, step.group());
-    let (frames, bases) = (problem.num_frames, step.num_bases);
+    let frames = problem.num_frames;
+    let bases = fitted.coefficients.len() / problem.num_tracks;
     let over_extent = T::of(1.0 / problem.extent);
-    let rows = || group.rows(problem.num_tracks);
+    let rows = || group.rows();
     let coefficients = rows().flat_map(|row| &fitted.coefficients[row * bases..(row + 1) * bases]);
     let means = rows().flat_map(|row| &fitted.means[row * 3..(row + 1) * 3]);
     let coefficients: Vec<T> = coefficients.copied().collect();
@@ -150,13 +151,11 @@ fn apart<T: Real>(fitted: &Fitted<'_, T>, gradient: &[T], over_extent: T) -> [Ve
 #[inline(always)]
 fn path<T: Real>(inputs: &Inputs<'_, T>, first: usize) -> Path<T> {
     let (bases, frames) = (inputs.num_bases(), inputs.moments());
-    let groups = PIECE.min(inputs.rows() - first).div_ceil(LANES);
-    let mut weights = vec![Lanes::ZERO; groups * bases];
-    let mut positions = Vec::with_capacity(groups * frames);
-    for (group, weights) in weights.chunks_exact_mut(bases).enumerate() {
+    let weights = inputs.piece_weights(first);
+    let mut positions = Vec::with_capacity(inputs.piece_groups(first) * frames);
+    for (group, weights) in weights.chunks_exact(bases).enumerate() {
         let start = first + group * LANES;
         let count = LANES.min(inputs.rows() - start);
-        inputs.weights(start, weights);
         for frame in 0..frames {
             let blend = inputs.blended(frame, weights);
             let (mut moved, _) = move_lanes(&blend, &inputs.means[3 * start..]);
@@ -282,7 +281,7 @@ fn piece_slope<T: Real>(
     let still = [Lanes::ZERO; 9];
     let mut slope = piece_backward(
         inputs,
-        first,
+        (first, &path.weights),
         #[inline(always)]
         |frame, group| (gradient[group * frames + frame], still),
     );
@@ -300,9 +299,7 @@ fn piece_slope<T: Real>(
         let falling = weights
             .iter()
             .map(|weight| *weight * -(sparsity + sparsity));
-        let mut each = vec![T::ZERO; rows.len()];
-        softmax_backward(weights, &falling.collect::<Vec<_>>(), &mut each);
-        rows.iter_mut().zip(each).for_each(|(row, v)| *row += v);
+        softmax_backward(weights, &falling.collect::<Vec<_>>(), rows);
     }
     (loss.total(), slope)
 }
@@ -371,10 +368,11 @@ fn bases_acceleration<T: Real>(
     over_extent: T,
     [of_rots, of_transls]: &mut [Vec<T>; 2],
 ) -> T {
-    let (frames, bases) = (step.problem.num_frames, step.num_bases);
-    if frames < 3 || bases == 0 {
+    let frames = step.problem.num_frames;
+    if frames < 3 {
         return T::ZERO;
     }
+    let bases = fitted.rots.len() / (6 * frames);
     let weight = step.smooth / (bases * (frames - 2)) as f64;
     mean_acceleration::<T, 6>(fitted.rots, of_rots, frames, (T::ONE, T::of(weight)))
         + mean_acceleration::<T, 3>(

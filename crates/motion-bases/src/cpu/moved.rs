@@ -72,6 +72,23 @@ impl<T: Real> Inputs<'_, T> {
         }
     }
 
+    /// The weights of a piece from `first` on, [G, B] for its G groups.
+    #[inline(always)]
+    pub(crate) fn piece_weights(&self, first: usize) -> Vec<Lanes<T>> {
+        let (groups, bases) = (self.piece_groups(first), self.num_bases());
+        let mut weights = vec![Lanes::ZERO; groups * bases];
+        for (group, weights) in weights.chunks_exact_mut(bases).enumerate() {
+            self.weights(first + group * LANES, weights);
+        }
+        weights
+    }
+
+    /// How many groups of [`LANES`] there are in a piece from `first` on.
+    #[inline(always)]
+    pub(crate) fn piece_groups(&self, first: usize) -> usize {
+        PIECE.min(self.rows() - first).div_ceil(LANES)
+    }
+
     /// The bases at a moment, blended.
     #[inline(always)]
     pub(crate) fn blended(&self, moment: usize, weights: &[Lanes<T>]) -> [Lanes<T>; BASIS] {

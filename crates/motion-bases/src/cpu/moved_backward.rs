@@ -27,9 +27,10 @@ pub(crate) fn moved_backward<T: Real>(inputs: &Inputs<'_, T>, gradient: &[T]) ->
         vectorized(
             #[inline(always)]
             || {
+                let weights = inputs.piece_weights(first);
                 piece_backward(
                     inputs,
-                    first,
+                    (first, &weights),
                     #[inline(always)]
                     |moment, group| {
                         let start = first + group * LANES;
@@ -66,21 +67,17 @@ pub(crate) fn joined<T: Real>(inputs: &Inputs<'_, T>, pieces: Vec<Piece<T>>) -> 
     [coefficients, basis_gradient, means]
 }
 
-/// The way back of the Gaussians from `first` on, of which `gradient` has at a moment and for a group of [`LANES`] that of the
+/// The way back of the piece from `first` on, whose softmax weights are given, and of which `gradient` has at a moment and for a group of [`LANES`] that of the
 /// moved means and of the rotations.
 #[inline(always)]
 pub(crate) fn piece_backward<T: Real>(
     inputs: &Inputs<'_, T>,
-    first: usize,
+    (first, weights): (usize, &[Lanes<T>]),
     gradient: impl Fn(usize, usize) -> (Vectors<T>, [Lanes<T>; 9]),
 ) -> Piece<T> {
     let (rows, bases, moments) = (inputs.rows(), inputs.num_bases(), inputs.moments());
     let count = PIECE.min(rows - first);
-    let groups = count.div_ceil(LANES);
-    let mut weights = vec![Lanes::ZERO; groups * bases];
-    for (group, weights) in weights.chunks_exact_mut(bases).enumerate() {
-        inputs.weights(first + group * LANES, weights);
-    }
+    let groups = inputs.piece_groups(first);
     let mut weight_gradients = vec![Lanes::ZERO; groups * bases];
     let mut mean_gradients = vec![[Lanes::ZERO; 3]; groups];
     let mut bases_gradient = Vec::with_capacity(moments * bases * BASIS);
@@ -152,7 +149,7 @@ fn lanes_backward<T: Real>(
     [g0, g1, g2, g3, g4, g5, moved[0], moved[1], moved[2]]
 }
 
-/// The gradients of logits, as rows, from those of their softmax weights.
+/// Adds to the gradients of logits, as rows, what those of their softmax weights make of them.
 #[inline(always)]
 pub(crate) fn softmax_backward<T: Real>(
     weights: &[Lanes<T>],
@@ -165,7 +162,7 @@ pub(crate) fn softmax_backward<T: Real>(
     }
     for (lane, row) in rows.chunks_exact_mut(weights.len()).enumerate() {
         for (b, value) in row.iter_mut().enumerate() {
-            *value = weights[b][lane] * (gradients[b][lane] - mean[lane]);
+            *value += weights[b][lane] * (gradients[b][lane] - mean[lane]);
         }
     }
 }

@@ -19,7 +19,7 @@ use crate::cube::mask::{
 };
 use crate::cube::reduce::{TEAM, squared_error_kernel, sums_kernel};
 use crate::cube::ssim::{gradient_kernel, lanes_kernel, tiles};
-use crate::cube::{depth, detail, mask, reduce};
+use crate::cube::{depth, mask, reduce};
 use crate::ops::{AdamTensors, DepthTargets, ImageLossBackwardOps, ImageLossOps, TrainerOps};
 
 /// A copy on the device of `like`.
@@ -377,7 +377,7 @@ fn detail_loss_on(a: CubeTensor, b: CubeTensor, wanted: bool) -> (CubeTensor, Op
     }
     let width = shape[1] as u32;
     let signs = empty(&a, [if wanted { 2 * samples } else { 1 }], DType::F32);
-    let blocks = samples.div_ceil(detail::BLOCK);
+    let blocks = samples.div_ceil(reduce::BLOCK);
     let terms = empty(&a, [blocks], DType::F32);
     let (count, dim) = cubes(&client, blocks, TEAM);
     detail_kernel::launch(

@@ -2,15 +2,9 @@
 
 use cubecl::prelude::*;
 
-use super::reduce::{TEAM, total};
+use super::reduce::{BLOCK, EACH, TEAM, total};
 use crate::cpu::detail::STEPS;
 use crate::cpu::ssim::CHANNELS;
-
-/// Numbers that each unit adds up first.
-const EACH: usize = 8;
-
-/// Samples of a cube.
-pub(crate) const BLOCK: usize = TEAM * EACH;
 
 /// What the sample at `at` of a - b has beyond the mean of those `step` pixels away; 0 at the edges.
 #[cube]

@@ -11,7 +11,7 @@ use crate::ops::LARGE_SCALE;
 pub(crate) const TEAM: usize = 256;
 
 /// Numbers that each unit adds up first.
-const EACH: usize = 8;
+pub(super) const EACH: usize = 8;
 
 /// Samples of a cube.
 pub(crate) const BLOCK: usize = TEAM * EACH;
