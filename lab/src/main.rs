@@ -315,11 +315,9 @@ fn write_report(asked: &Asked, to: &Path) -> Result<(), LabError> {
 
 /// Runs one run of a plan.
 fn one(plan: &Path, id: &str) -> Result<ExitCode, LabError> {
-    let plan = Plan::read(plan)?;
-    let run = plan.runs.iter().find(|run| run.id == id);
-    let run = run.ok_or_else(|| LabError::Asked(format!("the plan has no run {id}")))?;
+    let (plan, run) = Plan::with_run(plan, id)?;
     let children = listen()?;
-    Ok(match execute(run, &plan.program, &children)? {
+    Ok(match execute(&run, &plan.program, &children)? {
         Outcome::Finished | Outcome::WasThere => ExitCode::SUCCESS,
         Outcome::Stopped => ExitCode::from(INTERRUPTED),
         Outcome::Elsewhere => {
@@ -327,7 +325,7 @@ fn one(plan: &Path, id: &str) -> Result<ExitCode, LabError> {
             ExitCode::FAILURE
         }
         Outcome::Failed(failed) => {
-            say(&failure(run, &failed));
+            say(&failure(&run, &failed));
             ExitCode::FAILURE
         }
     })

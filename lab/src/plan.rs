@@ -2,7 +2,7 @@
 
 use crate::error::LabError;
 use crate::expand::{Case, Run, cases};
-use crate::hash::hex;
+use crate::hash::{hashed, hex};
 use crate::scenes::Scenes;
 use crate::study::Study;
 use serde::{Deserialize, Serialize};
@@ -11,6 +11,9 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+
+/// How names of earlier plans of a study begin.
+const EARLIER: &str = "runs-";
 
 /// All runs of a study and what runs them.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -122,7 +125,11 @@ impl Program {
         let copy = folder.join(format!("limpid-{fingerprint}{suffix}"));
         if !copy.exists() {
             let half = folder.join(format!(".{}{suffix}", std::process::id()));
-            fs::copy(program, &half).map_err(LabError::file(&half))?;
+            // What was hashed: a build may have put another one there since.
+            fs::write(&half, &bytes).map_err(LabError::file(&half))?;
+            let metadata = fs::metadata(program).map_err(LabError::file(program))?;
+            let set = fs::set_permissions(&half, metadata.permissions());
+            set.map_err(LabError::file(&half))?;
             fs::rename(&half, &copy).map_err(LabError::file(&copy))?;
         }
         let asked = Command::new(&copy).arg("--version").output();
@@ -248,7 +255,7 @@ impl Plan {
         })
     }
 
-    /// Writes `runs.json`.
+    /// Writes `runs.json`. An earlier one stays beside it under another name, for tasks of it that a scheduler still holds.
     ///
     /// # Errors
     /// It cannot be written.
@@ -256,7 +263,38 @@ impl Plan {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).map_err(LabError::file(folder))?;
         }
+        if let Ok(earlier) = fs::read_to_string(path) {
+            let name = hex(&hashed([earlier.as_str()])[..4]);
+            write_whole(
+                &path.with_file_name(format!("{EARLIER}{name}.json")),
+                &earlier,
+            )?;
+        }
         write_json(path, self)
+    }
+
+    /// The plan that has a run: the one at `path`, or an earlier one beside it.
+    ///
+    /// # Errors
+    /// None has it, or the one at `path` cannot be read.
+    pub fn with_run(path: &Path, id: &str) -> Result<(Self, PlannedRun), LabError> {
+        let run_of = |plan: Self| {
+            let run = plan.runs.iter().find(|run| run.id == id).cloned();
+            run.map(|run| (plan, run))
+        };
+        if let Some(found) = run_of(Self::read(path)?) {
+            return Ok(found);
+        }
+        let is_earlier = |path: &PathBuf| {
+            let name = path.file_name().and_then(|name| name.to_str());
+            name.is_some_and(|name| name.starts_with(EARLIER) && name.ends_with(".json"))
+        };
+        let beside = path.parent().and_then(|folder| fs::read_dir(folder).ok());
+        let entries = beside.into_iter().flatten().flatten();
+        let mut earlier = entries.map(|entry| entry.path()).filter(is_earlier);
+        earlier
+            .find_map(|path| run_of(Self::read(&path).ok()?))
+            .ok_or_else(|| LabError::Asked(format!("{} has no run {id}", path.display())))
     }
 
     /// Reads `runs.json`.
@@ -344,5 +382,44 @@ mod tests {
         assert!(second.changed, "{second:?}");
         assert_ne!(second.path, first.path, "both are kept");
         assert!(first.path.exists(), "both are kept");
+    }
+
+    #[test]
+    fn tasks_that_wait_find_their_run_in_the_plan_that_they_were_made_of() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("study/runs.json");
+        let write = |id: &str| {
+            let plan = Plan {
+                study: "study".to_owned(),
+                program: Program {
+                    path: format!("program of {id}").into(),
+                    fingerprint: String::new(),
+                    version: String::new(),
+                    commit: None,
+                    changed: false,
+                },
+                runs: vec![PlannedRun {
+                    id: id.to_owned(),
+                    scene: String::new(),
+                    arms: Vec::new(),
+                    seed: 1,
+                    iterations: 200,
+                    folder: PathBuf::new(),
+                    arguments: Vec::new(),
+                    command: Vec::new(),
+                }],
+            };
+            plan.write(&path).expect("a plan");
+        };
+        for id in ["a", "b", "c", "c"] {
+            write(id);
+        }
+        for id in ["a", "b", "c"] {
+            let (plan, run) = Plan::with_run(&path, id).expect("found");
+            assert_eq!(run.id, id);
+            assert_eq!(plan.program.path, Path::new(&format!("program of {id}")));
+        }
+        let unknown = Plan::with_run(&path, "d").expect_err("no such run");
+        assert!(unknown.to_string().contains("no run d"), "{unknown}");
     }
 }

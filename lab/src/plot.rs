@@ -22,6 +22,8 @@ const LETTER: i32 = 7;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
+/// A scene, and the score that its panel has upwards.
+type Shown<'a> = (&'a SceneTable, usize);
 
 /// Draws a panel a scene; false where no run is finished yet, so that there is nothing to draw.
 ///
@@ -35,17 +37,24 @@ pub fn draw(report: &Report, plot: &Plot, path: &Path) -> Result<bool, LabError>
             LabError::Asked(format!("the plot shows `{name}`, which is not in `score`"))
         })
     };
-    let y = column(&plot.y)?;
+    let upwards: Vec<usize> = [Some(&plot.y), plot.otherwise.as_ref()]
+        .into_iter()
+        .flatten()
+        .map(column)
+        .collect::<Result<_, _>>()?;
     let x = plot.x.as_ref().map(column).transpose()?;
-    let has_points = |table: &&SceneTable| table.rows.iter().any(|row| mean(row, y).is_some());
-    let tables: Vec<&SceneTable> = report.scenes.iter().filter(has_points).collect();
+    let shown = report.scenes.iter().filter_map(|table| {
+        let has = |y: &usize| table.rows.iter().any(|row| mean(row, *y).is_some());
+        Some((table, upwards.iter().copied().find(has)?))
+    });
+    let tables: Vec<Shown<'_>> = shown.collect();
     if tables.is_empty() {
         return Ok(false);
     }
     let mut picture = String::new();
     let drawn = match x {
-        Some(x) => curves(report, &tables, (x, y), plot.front, &mut picture),
-        None => side_by_side(report, &tables, y, &mut picture),
+        Some(x) => curves(report, &tables, x, plot.front, &mut picture),
+        None => side_by_side(report, &tables, &mut picture),
     };
     drawn.map_err(|e| LabError::content(path, e))?;
     write_whole(path, &picture)?;
@@ -81,17 +90,17 @@ fn with_error(s: &Summary) -> [f64; 3] {
 }
 
 /// Arms below each other, with their standard errors.
-fn side_by_side(report: &Report, tables: &[&SceneTable], y: usize, picture: &mut String) -> Drawn {
-    let most = tables.iter().map(|t| t.rows.len()).max().unwrap_or(1);
+fn side_by_side(report: &Report, tables: &[Shown<'_>], picture: &mut String) -> Drawn {
+    let most = tables.iter().map(|(t, _)| t.rows.len()).max().unwrap_or(1);
     let height = 70 + ROW * u32::try_from(most).unwrap_or(1);
-    let names = tables.iter().flat_map(|t| &t.rows);
+    let names = tables.iter().flat_map(|(t, _)| &t.rows);
     let longest = names.map(|row| row.arm.chars().count()).max().unwrap_or(1);
     let label = 16 + LETTER * i32::try_from(longest.min(60)).unwrap_or(60);
     let width = WIDTH + label.unsigned_abs();
     let size = size(tables.len(), (width, height));
     let area = SVGBackend::with_string(picture, size).into_drawing_area();
     area.fill(&WHITE)?;
-    for (panel, table) in panels(&area, tables.len()).iter().zip(tables) {
+    for (panel, &(table, y)) in panels(&area, tables.len()).iter().zip(tables) {
         let rows: Vec<&Row> = table.rows.iter().collect();
         let values = rows.iter().filter_map(|row| mean(row, y));
         let (low, high) = range(values.flat_map(|s| with_error(&s)), 0.05);
@@ -132,13 +141,13 @@ fn side_by_side(report: &Report, tables: &[&SceneTable], y: usize, picture: &mut
 /// Quality against cost, every knob a curve through the arm that it is turned on.
 fn curves(
     report: &Report,
-    tables: &[&SceneTable],
-    (x, y): (usize, usize),
+    tables: &[Shown<'_>],
+    x: usize,
     front: bool,
     picture: &mut String,
 ) -> Drawn {
     let mut knobs: Vec<&str> = Vec::new();
-    for row in tables.iter().flat_map(|table| &table.rows) {
+    for row in tables.iter().flat_map(|(table, _)| &table.rows) {
         if let Some(knob) = row.knob.as_deref().filter(|k| !knobs.contains(k)) {
             knobs.push(knob);
         }
@@ -148,7 +157,7 @@ fn curves(
     let area = area.into_drawing_area();
     area.fill(&WHITE)?;
     let (top, bottom) = area.split_vertically(height);
-    for (panel, table) in panels(&top, tables.len()).iter().zip(tables) {
+    for (panel, &(table, y)) in panels(&top, tables.len()).iter().zip(tables) {
         // Costs by their logarithms: an axis of plotters' own would have marks at powers of ten alone.
         let points: Vec<(&Row, f64, Summary)> = table
             .rows
@@ -321,6 +330,7 @@ mod tests {
                 front: x.is_some(),
                 x: x.clone(),
                 y: score("all"),
+                otherwise: None,
             };
             assert!(
                 draw(&report(3), &plot, &path).expect("drawn"),
@@ -345,6 +355,7 @@ mod tests {
         let plot = Plot {
             x: Some(score("cpu")),
             y: score("all"),
+            otherwise: None,
             front: true,
         };
         draw(&report(1), &plot, &path).expect("drawn");
@@ -364,6 +375,7 @@ mod tests {
         let plot = |y: &str| Plot {
             x: None,
             y: Score::from(y.to_owned()),
+            otherwise: None,
             front: false,
         };
         let mut empty = report(1);
@@ -376,6 +388,38 @@ mod tests {
         );
         let said = draw(&report(1), &plot("ssim"), &path).expect_err("no such column");
         assert!(said.to_string().contains("`ssim`"), "{said}");
+    }
+
+    #[test]
+    fn a_scene_without_the_score_shows_the_other_one() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("p.svg");
+        let score = |name: &str| Score::from(name.to_owned());
+        let mut report = report(2);
+        report.scores.push(score("psnr"));
+        for (i, table) in report.scenes.iter_mut().enumerate() {
+            for row in &mut table.rows {
+                let psnr = row.cells[1].clone();
+                row.cells.push(psnr);
+                if i == 1 {
+                    row.cells[1] = Cell::default();
+                }
+            }
+        }
+        for (otherwise, panels) in [(None, 1), (Some("psnr"), 2)] {
+            let plot = Plot {
+                x: Some(score("cpu")),
+                y: score("all"),
+                otherwise: otherwise.map(score),
+                front: true,
+            };
+            assert!(draw(&report, &plot, &path).expect("drawn"), "points");
+            let text = std::fs::read_to_string(&path).expect("a picture");
+            let count = |what: &str| text.matches(what).count();
+            assert_eq!(count("all, dB"), 1, "{otherwise:?}");
+            assert_eq!(count("PSNR, dB"), panels - 1, "{otherwise:?}");
+            assert_eq!(count("scene-1"), panels - 1, "{otherwise:?}");
+        }
     }
 
     #[test]

@@ -103,8 +103,10 @@ pub enum Truth {
 pub struct Plot {
     /// What to the right, on a logarithmic axis, every knob a curve; without it, variants stand side by side.
     pub x: Option<Score>,
-    /// What upwards.
+    /// What upwards…
     pub y: Score,
+    /// … and on scenes that have none of it.
+    pub otherwise: Option<Score>,
     /// Whether the Pareto front is drawn: what nothing beats in both.
     #[serde(default)]
     pub front: bool,
