@@ -1,6 +1,7 @@
 //! A tiny scene that needs every part of the method: a textured wall, a patch that moves in front of it, and a camera that moves
 //! during the exposure.
 
+use crate::values;
 use burn::tensor::Device;
 use glam::{DAffine3, DVec2, DVec3};
 use io::{Frame, Image, Map, QueryTracks, Scene, TrackSample, Tracks, View};
@@ -81,6 +82,12 @@ fn picture(time: f64, exposure: f64) -> Image {
 /// The scene: blurry frames with depth, masks and tracks, and sharp test views at their poses.
 #[must_use]
 pub fn scene() -> Scene {
+    scene_of(FRAMES)
+}
+
+/// The same with so many frames.
+#[must_use]
+pub fn scene_of(length: usize) -> Scene {
     let map = |time: f64, of: fn(f64, bool) -> f64| {
         let values = (0..WIDTH * HEIGHT).map(|i| {
             let (_, depth, patch) = trace(
@@ -102,16 +109,16 @@ pub fn scene() -> Scene {
         time: index as f32,
         image: picture(index as f64, exposure),
     };
-    let frames = (0..FRAMES).map(|i| Frame {
+    let frames = (0..length).map(|i| Frame {
         view: view(i, 0.9),
         depth: map(i as f64, |depth, _| depth),
         mask: map(i as f64, |_, patch| f64::from(u8::from(patch))),
     });
-    let queries = (0..FRAMES).map(|query| {
+    let queries = (0..length).map(|query| {
         let mut samples = Vec::new();
         for k in 0..36 {
             let offset = DVec2::new((k % 6) as f64 - 2.5, (k / 6) as f64 - 2.5) * 0.12;
-            for t in 0..FRAMES {
+            for t in 0..length {
                 let p = patch_center(t as f64) + offset;
                 let seen = camera().project(pose(t as f64).transform_point3(p.extend(PATCH)));
                 samples.push(TrackSample {
@@ -128,9 +135,9 @@ pub fn scene() -> Scene {
         }
     });
     Scene {
-        test: (0..FRAMES).map(|i| view(i, 0.0)).collect(),
+        test: (0..length).map(|i| view(i, 0.0)).collect(),
         tracks: Some(Tracks {
-            num_frames: FRAMES,
+            num_frames: length,
             queries: queries.collect(),
         }),
         ..Scene::of_frames(frames.collect())
@@ -156,6 +163,17 @@ pub fn settings() -> Settings {
     settings.frames.offsets = true;
     settings.frames.gains = When::Always;
     settings
+}
+
+/// The numbers of a parameter, by its name in checkpoints.
+///
+/// # Panics
+/// Where there is none of that name.
+#[must_use]
+pub fn parameter(trainer: &Trainer, name: &str) -> Vec<f64> {
+    let mut all = trainer.model().parameters().into_iter();
+    let found = all.find(|(parameter, _)| parameter.name == name);
+    values(found.unwrap_or_else(|| panic!("no {name}")).1)
 }
 
 /// Trains the scene on the CPU for so many iterations with a model of blur, and leaves a checkpoint in a folder.

@@ -2,6 +2,7 @@
 //! very run: no machine's speed is known beforehand.
 
 use crate::failure::Failure;
+use crate::memory::mib;
 use crate::progress::duration;
 use std::time::Instant;
 use trainer::{BlurModel, Course, Trainer};
@@ -242,7 +243,7 @@ impl Forecast {
         let iterations = trainer.settings().iterations;
         let frames = memory.map(|_| trainer.run().views().train.len());
         let memory = memory.map_or_else(String::new, |bytes| {
-            format!(", and {} MiB of memory at most", bytes >> 20)
+            format!(", and {} MiB of memory at most", mib(bytes))
         });
         let course = trainer.course(iterations)?;
         let (done, length) = (trainer.iteration(), (iterations, frames));

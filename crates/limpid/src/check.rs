@@ -87,30 +87,36 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
 
 /// What training would go by and, if that is asked, what it would take.
 fn prospects(mut scene: io::Scene, config: &Config, of_cost: bool) -> Result<String, Failure> {
-    let mut text = "training would go by this:\n".to_owned();
-    let survey = trainer::survey(&mut scene, config.settings.motion.when)?;
-    let decided = survey.decided(&config.settings);
-    for note in survey.notes.iter().chain(&decided) {
-        writeln!(text, "  {note}")?;
+    let settings = &config.settings;
+    if !of_cost {
+        let survey = trainer::survey(&mut scene, settings.motion.when)?;
+        let decided = survey.decided(settings);
+        return decisions(survey.notes.iter().chain(&decided));
     }
-    if of_cost {
-        text += &cost(scene, config)?;
+    let device = config.run.backend.device()?;
+    let mut trainer = Trainer::new(scene, settings.clone(), &device)?;
+    Ok(decisions(&trainer.survey().notes)? + &cost(&mut trainer, config)?)
+}
+
+/// What was found in the scene, and what is decided from it.
+fn decisions<'a>(notes: impl IntoIterator<Item = &'a String>) -> Result<String, Failure> {
+    let mut text = "training would go by this:\n".to_owned();
+    for note in notes {
+        writeln!(text, "  {note}")?;
     }
     Ok(text)
 }
 
 /// What training would take of time and memory on this machine, by its first iterations.
-fn cost(scene: io::Scene, config: &Config) -> Result<String, Failure> {
-    let device = config.run.backend.device()?;
-    let mut trainer = Trainer::new(scene, config.settings.clone(), &device)?;
-    memory::warn(&trainer, config);
-    let memory = memory::expected(&trainer, config);
+fn cost(trainer: &mut Trainer, config: &Config) -> Result<String, Failure> {
+    memory::warn(trainer, config);
+    let memory = memory::expected(trainer, config);
     let presets = Preset::value_variants();
     let lengths: Vec<usize> = presets
         .iter()
         .map(|preset| Ok(preset.settings()?.iterations))
         .collect::<Result<_, Failure>>()?;
-    let seconds = budget::foretell(&mut trainer, &lengths)?;
+    let seconds = budget::foretell(trainer, &lengths)?;
     let mut text = format!(
         "training itself would take, about, on {} threads of this machine:\n",
         rayon::current_num_threads()
@@ -127,7 +133,7 @@ fn cost(scene: io::Scene, config: &Config) -> Result<String, Failure> {
         )?;
     }
     if let Some(bytes) = memory {
-        writeln!(text, "and {} MiB of memory at most", bytes >> 20)?;
+        writeln!(text, "and {} MiB of memory at most", memory::mib(bytes))?;
     }
     Ok(text)
 }

@@ -200,11 +200,11 @@ fn shots(
     let moments = moments.of(run)?;
     let seen_at = |time: f32| freeze.unwrap_or(time);
     if name == "cameras" {
-        let shot = |time: &f32| CameraView {
-            time: seen_at(*time),
-            ..run.view_at(*time)
-        };
-        return Ok((name.to_owned(), moments.iter().map(shot).collect()));
+        let mut shots = run.views_at(&moments);
+        for shot in &mut shots {
+            shot.time = seen_at(shot.time);
+        }
+        return Ok((name.to_owned(), shots));
     }
     let cameras: Vec<_> = run
         .views()

@@ -2,6 +2,7 @@
 
 use crate::config::{Config, RunOptions};
 use crate::failure::Failure;
+use crate::memory::mib;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -74,7 +75,6 @@ fn list_gpus(
     backend: &str,
     need: Option<Need>,
 ) -> Result<(), Failure> {
-    let mib = |bytes: u64| bytes >> 20;
     let gpus: Vec<Gpu> = Gpu::found();
     let mut listed = gpus.iter().filter(|gpu| gpu.runtime == backend).peekable();
     if listed.peek().is_none() {

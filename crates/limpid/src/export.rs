@@ -10,7 +10,7 @@ use crate::say::{conclude, say};
 use io::{ExportedView, Gaussians, Glb, GlbPart, RigidMotion, SparsePoint};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use trainer::Run;
+use trainer::{CameraView, Run};
 
 /// Arguments of `limpid export`.
 #[derive(Debug, clap::Args)]
@@ -268,7 +268,7 @@ fn moving(run: &Run, arguments: &ExportArguments) -> Result<Glb, Failure> {
              takes that, --nodes {} cuts finer, --at TIME writes one moment, and --format ply-sequence all of them as they are",
             rigid.parts.len(),
             psnr.floor(),
-            4 * nodes.max(1),
+            nodes.max(1).saturating_mul(4),
         )
         .into());
     }
@@ -305,12 +305,17 @@ fn moving(run: &Run, arguments: &ExportArguments) -> Result<Glb, Failure> {
 /// Sharp renders of all views into `images`, and their cameras as the run has them by now, by file relative to `relative`.
 fn pictures(run: &Run, images: &Path, relative: &str) -> Result<Vec<ExportedView>, Failure> {
     let views = run.views();
-    let training = views.train.iter().map(|view| {
-        let mut view = view.clone();
-        // With what was found wrong of it, and in the middle of its exposure.
-        view.cam_from_world = run.view_at(view.time).cam_from_world;
-        view
-    });
+    let times: Vec<f32> = views.train.iter().map(|view| view.time).collect();
+    // With what was found wrong of them, and in the middle of their exposures.
+    let found = run.views_at(&times);
+    let training = views
+        .train
+        .iter()
+        .zip(found)
+        .map(|(view, found)| CameraView {
+            cam_from_world: found.cam_from_world,
+            ..view.clone()
+        });
     let mut exported = Vec::new();
     let sets = [
         ("train", training.collect::<Vec<_>>()),

@@ -50,7 +50,8 @@ fn warn_of_a_table(trainer: &Trainer, gpu: &Gpu, downscale: usize) {
     }
 }
 
-fn mib(bytes: u64) -> u64 {
+/// In MiB, as people are told.
+pub(crate) fn mib(bytes: u64) -> u64 {
     bytes >> 20
 }
 

@@ -65,14 +65,17 @@ impl Numbered {
     }
 
     /// All files, as ffmpeg takes them.
-    pub(crate) fn pattern(&self) -> PathBuf {
+    pub(crate) fn pattern(&self) -> String {
         let Self {
             folder,
             prefix,
             extension,
             digits,
         } = self;
-        folder.join(format!("{prefix}%0{digits}d.{extension}"))
+        // What the folder's own name has of it means nothing.
+        let folder = folder.display().to_string().replace('%', "%%");
+        let path = Path::new(&folder).join(format!("{prefix}%0{digits}d.{extension}"));
+        path.display().to_string()
     }
 
     /// None where there is no folder.
@@ -88,5 +91,19 @@ impl Numbered {
             name.strip_suffix(self.extension)?.strip_suffix('.')
         });
         number.is_some_and(|n| n.len() >= 4 && n.bytes().all(|b| b.is_ascii_digit()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_may_be_called_anything() {
+        let folder = PathBuf::from("50%_blur/%d");
+        let numbered = Numbered::new(folder.clone(), ("view_", "png"), (4, 3));
+        assert_eq!(numbered.path(2), folder.join("view_0002.png"));
+        let pattern = Path::new("50%%_blur/%%d").join("view_%04d.png");
+        assert_eq!(Path::new(&numbered.pattern()), pattern);
     }
 }

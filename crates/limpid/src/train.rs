@@ -17,6 +17,7 @@ use crate::say::{self, conclude, say};
 use crate::shell::quoted;
 use crate::stop::{INTERRUPTED, SaveRequest, Stop};
 use crate::watch::{Listening, Watch};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -113,7 +114,11 @@ impl Started {
             return Ok(false);
         };
         let log_file = self.out.join(LOG_FILE);
-        let log = std::fs::read(&log_file).map_err(|e| format!("{e}: {}", log_file.display()))?;
+        let log = match std::fs::read(&log_file) {
+            // Removed on the way: what was trained is there all the same.
+            Err(e) if e.kind() == ErrorKind::NotFound => Vec::new(),
+            read => read.map_err(|e| format!("{e}: {}", log_file.display()))?,
+        };
         let (said, next) = lengths.next(&mut self.trainer, log)?;
         say!("{said}");
         self.config.settings.iterations = self.trainer.settings().iterations;

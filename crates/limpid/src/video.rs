@@ -18,7 +18,7 @@ pub(crate) fn write(
     let arguments = |to: &Path| -> Vec<String> {
         let text = |path: &Path| path.display().to_string();
         let (fps, count) = (fps.to_string(), count.to_string());
-        let pattern = text(&pictures.pattern());
+        let pattern = pictures.pattern();
         let to = text(to);
         [
             // H.264 in 4:2:0, which everything plays, wants even sides.

@@ -101,6 +101,15 @@ impl BlurModel {
         }
     }
 
+    /// The iteration after which trials leave the camera alone; `None` where there is no camera.
+    pub(crate) fn camera_settled(&self) -> Option<usize> {
+        match self {
+            Self::Off | Self::Kernels(_) => None,
+            Self::Camera(camera) => Some(camera.settled()),
+            Self::Both(both) => Some(both.camera.settled()),
+        }
+    }
+
     /// Whether frames are blurred at iteration `it`, or once `it` iterations are done.
     pub(crate) fn is_on(&self, it: usize) -> bool {
         match self {

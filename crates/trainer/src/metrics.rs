@@ -133,14 +133,28 @@ fn squared(a: f32, b: f32) -> f64 {
     difference * difference
 }
 
-/// PSNR of a sum of squared differences.
+/// PSNR of a sum of squared differences; NaN where that is.
 pub(crate) fn decibel(sum: f64, samples: usize) -> f64 {
-    (-10.0 * (sum / samples as f64).log10()).min(LARGEST_PSNR)
+    let psnr = -10.0 * (sum / samples as f64).log10();
+    // Not `min`, by which NaN would be a perfect picture.
+    if psnr > LARGEST_PSNR {
+        LARGEST_PSNR
+    } else {
+        psnr
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_not_a_number_is_no_perfect_picture() {
+        assert!(psnr(&[f32::NAN; 3], &[0.5; 3]).is_nan());
+        let masked = masked_psnr(&[f32::NAN; 3], &[0.5; 3], &[true]);
+        assert!(masked.expect("a pixel").is_nan());
+        assert_eq!(psnr(&[0.5; 3], &[0.5; 3]), LARGEST_PSNR);
+    }
 
     #[test]
     fn psnr_of_known_errors() {

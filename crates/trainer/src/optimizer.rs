@@ -125,7 +125,7 @@ fn rate_at_pace(plan: &Plan, group: Group, columns: usize, it: usize, pace: f64)
         }
         Group::CameraFocus => r.camera_focus * camera * schedule.path_pace().max(1.0),
         // Before its frames have found their focus an aperture shrinks to nothing, where it has no gradient.
-        Group::CameraAperture if schedule.blur_moments.last() >= Some(&it) => 0.0,
+        Group::CameraAperture if schedule.camera_settled >= Some(it) => 0.0,
         Group::CameraAperture => r.camera_aperture * camera,
         Group::CameraShutter => r.camera_shutter * camera,
         Group::FrameOffset => {
@@ -155,6 +155,7 @@ mod tests {
             motion: false,
             unseen: false,
             blur_moments: vec![],
+            camera_settled: None,
         };
         let of = |iterations| {
             let settings = Settings {

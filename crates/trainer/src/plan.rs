@@ -52,6 +52,7 @@ pub(crate) fn schedule_of(
         motion: model.world.motion.is_some(),
         unseen,
         blur_moments: model.blur.moments(),
+        camera_settled: model.blur.camera_settled(),
     };
     Schedule::new(settings, views.train.len(), modelled)
 }

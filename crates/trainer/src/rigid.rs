@@ -69,10 +69,11 @@ impl Run {
             groups.grow(wanted, &movers, &posed);
             let psnr = self.psnr_of_parts(&world, &movers, &groups)?;
             rigid.psnr = Some(psnr);
-            if psnr >= enough || wanted >= most {
+            // No more parts than Gaussians.
+            if psnr >= enough || wanted >= most.min(movers.means.len()) {
                 break;
             }
-            wanted = (2 * wanted).min(most);
+            wanted = wanted.saturating_mul(2).min(most);
         }
         let parts = groups.motions.iter().enumerate().map(|(part, motions)| {
             let rotation = |motion: &DAffine3| {

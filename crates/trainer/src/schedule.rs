@@ -18,6 +18,8 @@ pub struct Schedule {
     pub unseen_every: usize,
     /// The iterations after which the blur model starts or changes, its start first; none where blur is not modelled.
     pub blur_moments: Vec<usize>,
+    /// The iteration after which trials leave the camera alone, where there is a camera.
+    pub camera_settled: Option<usize>,
     num_frames: usize,
     control_from: usize,
     control_until: usize,
@@ -37,6 +39,8 @@ pub struct Modelled {
     pub unseen: bool,
     /// See [`Schedule::blur_moments`].
     pub blur_moments: Vec<usize>,
+    /// See [`Schedule::camera_settled`].
+    pub camera_settled: Option<usize>,
 }
 
 /// In runs that are shorter than this, Gaussians that move, paths and focus learn the faster the shorter the run is; in longer
@@ -72,6 +76,7 @@ impl Schedule {
             unseen_from: modelled.unseen.then(|| at(settings.unseen.from)),
             unseen_every: settings.unseen.every,
             blur_moments: modelled.blur_moments,
+            camera_settled: modelled.camera_settled,
             num_frames,
             control_from: at(settings.gaussians.control_from),
             control_until: at(settings.gaussians.control_until),
@@ -203,6 +208,7 @@ mod tests {
             blur_moments: [3500, 3700, 5500, 4500]
                 .map(|moment| scaled_moment(moment, n))
                 .to_vec(),
+            camera_settled: None,
         }
     }
 
@@ -306,6 +312,7 @@ mod tests {
             motion: false,
             unseen: false,
             blur_moments: Vec::new(),
+            camera_settled: None,
         };
         let s = Schedule::new(
             &Settings {

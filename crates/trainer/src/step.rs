@@ -1,8 +1,8 @@
 //! One iteration: the loss of a view, backward, Adam, density control.
 
 use crate::TrainError;
-use crate::adam::{AdamStep, NonFiniteGradient, finite_gradient};
-use crate::blur::Trace;
+use crate::adam::{AdamState, AdamStep, NonFiniteGradient, finite_gradient};
+use crate::blur::{BlurModel, Trace};
 use crate::guarded::guarded;
 use crate::look::Look;
 use crate::metrics::SquaredError;
@@ -12,11 +12,13 @@ use crate::optimizer::learning_rate;
 use crate::parameter::Parameter;
 use crate::readings::Readings;
 use crate::run::Run;
+use crate::state::State;
 use crate::tensors::host;
 use crate::trainer::Trainer;
 use crate::views::ViewRef;
 use burn::tensor::{Gradients, Tensor};
 use host::count_not_finite;
+use std::mem;
 use tracing::trace_span;
 
 /// What an iteration did.
@@ -36,6 +38,21 @@ pub struct StepReport {
     pub gaussians: usize,
     /// What was decided before the iteration, and why, for people.
     pub decided: Option<String>,
+}
+
+/// What was decided before an iteration, and what that changed as it was.
+struct Revised {
+    decided: Option<String>,
+    blur: BlurModel,
+    /// By the parameters' names.
+    moments: Vec<(String, AdamState)>,
+}
+
+impl Revised {
+    fn undo(self, state: &mut State) {
+        state.model.blur = self.blur;
+        state.optimizer.states.extend(self.moments);
+    }
 }
 
 impl Trainer {
@@ -58,8 +75,24 @@ impl Trainer {
             });
         }
         let it = self.iteration() + 1;
-        // Before anything is stepped: after an error the state is whole.
-        let decided = self.change_blur(it - 1)?;
+        let revised = self.change_blur(it - 1)?;
+        match (self.learn(it), revised) {
+            (Ok(report), Some(revised)) => Ok(StepReport {
+                decided: revised.decided,
+                ..report
+            }),
+            // The same trial comes again where the run goes on.
+            (Err(error), Some(revised)) => {
+                revised.undo(&mut self.run.state);
+                Err(error)
+            }
+            (report, None) => report,
+        }
+    }
+
+    /// Iteration `it` behind what the blur model does before it. All that can fail comes before anything is stepped: after an error
+    /// the state is as it was.
+    fn learn(&mut self, it: usize) -> Result<StepReport, TrainError> {
         let Run {
             plan,
             state,
@@ -105,7 +138,6 @@ impl Trainer {
         let readings = readings.read()?;
         drop(span);
         let values = &readings[values];
-        // All is checked before anything is stepped: after an error the state is whole.
         if values.iter().any(|v| !v.is_finite()) || readings[counts].iter().any(|n| *n != 0.0) {
             return Err(self.find_fault(it, &view)?);
         }
@@ -137,7 +169,7 @@ impl Trainer {
             psnr,
             view: name,
             gaussians: self.model().num_gaussians(),
-            decided,
+            decided: None,
         })
     }
 
@@ -158,8 +190,8 @@ impl Trainer {
         }
     }
 
-    /// Lets the blur model do what it does once `it` iterations are done. Says what was decided of it.
-    fn change_blur(&mut self, it: usize) -> Result<Option<String>, TrainError> {
+    /// Lets the blur model do what it does once `it` iterations are done, if that is anything.
+    fn change_blur(&mut self, it: usize) -> Result<Option<Revised>, TrainError> {
         let Self { run, data } = self;
         if !run.state.model.blur.revises(it) {
             return Ok(None);
@@ -171,11 +203,19 @@ impl Trainer {
         let looks = views.iter().map(|view| run.look_at(view, it));
         let looks: Vec<_> = looks.map(|look| corrections.applied(&look)).collect();
         let revision = blur.revise(&run.state.model.world, &looks)?;
-        run.state.model.blur = blur;
+        let states = &run.state.optimizer.states;
+        let moments = revision.changed.iter();
+        let revised = Revised {
+            decided: revision.decision.map(|decision| decision.to_string()),
+            moments: moments
+                .filter_map(|(p, _)| Some((p.name.clone(), states.get(&p.name)?.clone())))
+                .collect(),
+            blur: mem::replace(&mut run.state.model.blur, blur),
+        };
         for (parameter, rows) in revision.changed {
             run.state.optimizer.zero_rows(&parameter, &rows);
         }
-        Ok(revision.decision.map(|decision| decision.to_string()))
+        Ok(Some(revised))
     }
 
     /// Says where a number that is not finite arose: goes back through each loss term by itself. Costs as many backward passes
@@ -254,7 +294,6 @@ fn count_all_not_finite(gradients: &[Option<Tensor<2>>]) -> Tensor<1> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::blur::BlurModel;
     use crate::corrections::Corrections;
     use crate::world::World;
     use burn::tensor::Device;

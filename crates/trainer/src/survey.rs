@@ -145,17 +145,12 @@ fn movers_note(
 /// The scene has neither depth nor sparse points in front of its cameras, or movers and no depth to lift them by.
 pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
     let mut notes = Vec::new();
-    for frame in &mut scene.frames {
-        // A map without a single depth is no map.
-        frame.depth = frame
-            .depth
-            .take()
-            .filter(|m| m.values.iter().any(|&z| z > 0.0));
-    }
-    let depth = scene.frames.iter().any(|f| f.depth.is_some());
-    if depth {
+    if drop_empty_depth(scene) {
         notes.extend(align_depth(scene));
-    } else {
+    }
+    // Aligned, a map may lie behind all cameras.
+    let depth = drop_empty_depth(scene);
+    if !depth {
         notes.push(
             "no depth: Gaussians start at the sparse points, no depth loss, no unseen views"
                 .to_owned(),
@@ -209,6 +204,17 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
         gains_differ: brightness_change.is_some_and(gains_differ),
         notes,
     })
+}
+
+/// Takes away maps without a single depth, which are no maps. Says whether any is left.
+fn drop_empty_depth(scene: &mut Scene) -> bool {
+    let mut any = false;
+    for frame in &mut scene.frames {
+        let map = frame.depth.take();
+        frame.depth = map.filter(|map| map.values.iter().any(|&z| z > 0.0));
+        any |= frame.depth.is_some();
+    }
+    any
 }
 
 /// Aligns the disparity of each frame to the sparse points, as far as they say something about it. Says what was done.

@@ -81,6 +81,14 @@ impl Run {
         self.view_on(&self.trajectory(), time)
     }
 
+    /// The same at each of several times.
+    #[must_use]
+    pub fn views_at(&self, times: &[f32]) -> Vec<CameraView> {
+        let trajectory = self.trajectory();
+        let view = |time: &f32| self.view_on(&trajectory, *time);
+        times.iter().map(view).collect()
+    }
+
     /// The same on its trajectory.
     pub(crate) fn view_on(&self, trajectory: &Trajectory, time: f32) -> CameraView {
         let nearest = self.views().train.iter().min_by(|a, b| {

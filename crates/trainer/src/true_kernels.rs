@@ -2,7 +2,7 @@
 
 use crate::TrainError;
 use crate::blur::{KernelView, ViewBlur};
-use crate::metrics::LARGEST_PSNR;
+use crate::metrics::decibel;
 use crate::pixel_kernel::PixelKernel;
 use crate::placement::dilate;
 use crate::run::Run;
@@ -163,13 +163,13 @@ impl Compared {
 
     /// Of all kernels of a frame.
     fn score(all: impl ExactSizeIterator<Item = Self>) -> KernelScore {
-        let count = all.len() as f64;
+        let count = all.len();
         let (error, divergence) = all.fold((0.0, 0.0), |(error, divergence), one| {
             (error + one.error, divergence + one.divergence)
         });
         KernelScore {
-            psnr: (-10.0 * (error / count).log10()).min(LARGEST_PSNR),
-            kl: divergence / count,
+            psnr: decibel(error, count),
+            kl: divergence / count as f64,
         }
     }
 }
@@ -270,6 +270,7 @@ impl Run {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::LARGEST_PSNR;
     use glam::DVec3;
     use io::{Image, View};
 

@@ -1,14 +1,14 @@
 //! Sixty iterations with each model of blur: the loss falls, every part of the method is used, and everything on a device is
 //! launched ahead of it, but for what has to come back.
 
-use limpid_tests::devices;
-use limpid_tests::tiny::{scene, settings};
+use limpid_tests::tiny::{parameter, scene, settings};
+use limpid_tests::{devices, devices_for_long_trainings};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Metadata, Subscriber};
-use trainer::settings::BlurKind;
+use trainer::settings::{BlurKind, When};
 use trainer::{StepReport, Trainer};
 
 /// Counts the spans in which values are read back.
@@ -155,6 +155,32 @@ fn sixty_steps_with_the_camera_lower_the_loss_open_paths_and_wait_for_no_more_th
             assert!(finite, "{name}: {}", parameter.name);
             let is_path = parameter.name == "camera.paths";
             assert!(!is_path || values.iter().any(|v| *v != 0.0), "{name}");
+        }
+    }
+}
+
+/// Also with kernels on top of it, which have moments of their own, some of which never come.
+#[test]
+fn an_aperture_learns_once_trials_leave_the_camera_alone() {
+    for (name, device) in devices_for_long_trainings() {
+        for model in [BlurKind::Camera, BlurKind::Both] {
+            let mut settings = settings();
+            settings.blur.model = model;
+            settings.camera.lens = When::Always;
+            settings.loss.downsample_after = usize::MAX;
+            let mut trainer = Trainer::new(scene(), settings, &device).expect("a trainer");
+            let aperture = |trainer: &Trainer| parameter(trainer, "camera.aperture");
+            let start = aperture(&trainer);
+            let settled = trainer.schedule().camera_settled.expect("a camera");
+            for _ in 0..settled {
+                trainer.step().expect("a step");
+            }
+            assert_eq!(aperture(&trainer), start, "{name}, {model:?}");
+            // The last trial may leave another one.
+            trainer.step().expect("a step");
+            let freed = aperture(&trainer);
+            trainer.step().expect("a step");
+            assert_ne!(aperture(&trainer), freed, "{name}, {model:?}");
         }
     }
 }

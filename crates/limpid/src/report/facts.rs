@@ -312,6 +312,7 @@ mod tests {
             motion: true,
             unseen: true,
             blur_moments: vec![250, 401],
+            camera_settled: Some(401),
         };
         let moments = moments(&Schedule::new(&settings, 24, modelled));
         assert!(moments.is_sorted_by_key(|m| m.iteration), "{moments:?}");

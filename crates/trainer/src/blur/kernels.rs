@@ -393,6 +393,7 @@ mod tests {
                 motion: true,
                 unseen: true,
                 blur_moments: moments(n).to_vec(),
+                camera_settled: None,
             };
             let settings = Settings {
                 iterations: n,

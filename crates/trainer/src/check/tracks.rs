@@ -104,7 +104,9 @@ fn still(scene: &Scene, fit: &Fit) -> Option<Finding> {
     let (mut errors, mut shifts) = (Vec::new(), Vec::new());
     let n = scene.frames.len();
     for query in scene.tracks.iter().flat_map(|t| &t.queries) {
-        let from = scene.frames.get(query.frame)?;
+        let Some(from) = scene.frames.get(query.frame) else {
+            continue;
+        };
         // What lies beside a mask may belong to what it shows.
         let margin = pixels_at_256(MARGIN, from.view.camera.width);
         let near_mask = from.mask.as_ref().map(|m| dilate(m, margin, 0.02));

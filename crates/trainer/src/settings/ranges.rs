@@ -56,6 +56,12 @@ impl Settings {
             "gaussians.max_initial_static",
             "positive",
         );
+        check(self.motion.max_tracks > 0, "motion.max_tracks", "positive");
+        check(
+            (0.0..=1.0).contains(&self.unseen.min_valid),
+            "unseen.min_valid",
+            "0 to 1",
+        );
         check(
             g.initial_opacity > 0.0 && g.initial_opacity < 1.0,
             "gaussians.initial_opacity",
@@ -140,7 +146,6 @@ impl Settings {
             (g.max_per_pixel, "gaussians.max_per_pixel"),
             (self.unseen.offset, "unseen.offset"),
             (self.unseen.sharpness, "unseen.sharpness"),
-            (self.unseen.min_valid, "unseen.min_valid"),
             (self.checkpoint_minutes, "checkpoint_minutes"),
             (w.ssim, "loss.ssim"),
             (w.depth, "loss.depth"),
