@@ -148,7 +148,7 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
     if drop_empty_depth(scene) {
         notes.extend(align_depth(scene));
     }
-    // Aligned, a map may lie behind all cameras.
+    // Aligned, all of a map may come to lie behind its camera.
     let depth = drop_empty_depth(scene);
     if !depth {
         notes.push(
