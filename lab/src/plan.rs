@@ -255,7 +255,8 @@ impl Plan {
         })
     }
 
-    /// Writes `runs.json`. An earlier one stays beside it under another name, for tasks of it that a scheduler still holds.
+    /// Writes `runs.json`. Another one that was there stays beside it under a name of its own, for tasks of it that a scheduler
+    /// still holds.
     ///
     /// # Errors
     /// It cannot be written.
@@ -263,14 +264,17 @@ impl Plan {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).map_err(LabError::file(folder))?;
         }
-        if let Ok(earlier) = fs::read_to_string(path) {
+        let text = json(path, self)?;
+        if let Ok(earlier) = fs::read_to_string(path)
+            && earlier != text
+        {
             let name = hex(&hashed([earlier.as_str()])[..4]);
             write_whole(
                 &path.with_file_name(format!("{EARLIER}{name}.json")),
                 &earlier,
             )?;
         }
-        write_json(path, self)
+        write_whole(path, &text)
     }
 
     /// The plan that has a run: the one at `path`, or an earlier one beside it.
@@ -312,8 +316,12 @@ impl Plan {
 /// # Errors
 /// It cannot be written.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), LabError> {
+    write_whole(path, &json(path, value)?)
+}
+
+fn json(path: &Path, value: &impl Serialize) -> Result<String, LabError> {
     let text = serde_json::to_string_pretty(value).map_err(|e| LabError::content(path, e))?;
-    write_whole(path, &(text + "\n"))
+    Ok(text + "\n")
 }
 
 /// Writes a file under another name first: a reader finds all of it or nothing, and what was there stays until then.
@@ -419,6 +427,8 @@ mod tests {
             assert_eq!(run.id, id);
             assert_eq!(plan.program.path, Path::new(&format!("program of {id}")));
         }
+        let plans = fs::read_dir(folder.path().join("study")).expect("a folder");
+        assert_eq!(plans.count(), 3, "the same plan twice is one");
         let unknown = Plan::with_run(&path, "d").expect_err("no such run");
         assert!(unknown.to_string().contains("no run d"), "{unknown}");
     }
