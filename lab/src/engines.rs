@@ -2,7 +2,7 @@
 
 use crate::error::LabError;
 use crate::execute::is_finished;
-use crate::hash::{hashed, hex};
+use crate::hash::name_of;
 use crate::plan::{Plan, PlannedRun};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -48,7 +48,7 @@ impl Engine {
         }
         let lines: String = runs.iter().map(|run| line(&run.command) + "\n").collect();
         // By what it holds: a task that still waits finds the list that it was made of.
-        let name = hex(&hashed([lines.as_str()])[..4]);
+        let name = name_of(&lines);
         let commands = folder.join(format!("commands-{name}.txt"));
         std::fs::write(&commands, lines).map_err(LabError::file(&commands))?;
         let script = folder.join(self.file());

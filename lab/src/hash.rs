@@ -14,6 +14,11 @@ pub(crate) fn hashed<'a>(parts: impl IntoIterator<Item = &'a str>) -> [u8; 32] {
     hash.finalize().into()
 }
 
+/// A short name for a file that is known by what it holds.
+pub(crate) fn name_of(text: &str) -> String {
+    hex(&hashed([text])[..4])
+}
+
 /// Bytes as hexadecimal digits.
 pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |mut text, byte| {

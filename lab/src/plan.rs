@@ -2,7 +2,7 @@
 
 use crate::error::LabError;
 use crate::expand::{Case, Run, cases};
-use crate::hash::{hashed, hex};
+use crate::hash::{hex, name_of};
 use crate::scenes::Scenes;
 use crate::study::Study;
 use serde::{Deserialize, Serialize};
@@ -268,7 +268,7 @@ impl Plan {
         if let Ok(earlier) = fs::read_to_string(path)
             && earlier != text
         {
-            let name = hex(&hashed([earlier.as_str()])[..4]);
+            let name = name_of(&earlier);
             write_whole(
                 &path.with_file_name(format!("{EARLIER}{name}.json")),
                 &earlier,

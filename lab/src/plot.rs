@@ -37,11 +37,8 @@ pub fn draw(report: &Report, plot: &Plot, path: &Path) -> Result<bool, LabError>
             LabError::Asked(format!("the plot shows `{name}`, which is not in `score`"))
         })
     };
-    let upwards: Vec<usize> = [Some(&plot.y), plot.otherwise.as_ref()]
-        .into_iter()
-        .flatten()
-        .map(column)
-        .collect::<Result<_, _>>()?;
+    let upwards = std::iter::once(&plot.y).chain(&plot.otherwise);
+    let upwards: Vec<usize> = upwards.map(column).collect::<Result<_, _>>()?;
     let x = plot.x.as_ref().map(column).transpose()?;
     let shown = report.scenes.iter().filter_map(|table| {
         let has = |y: &usize| table.rows.iter().any(|row| mean(row, *y).is_some());

@@ -56,12 +56,6 @@ impl Settings {
             "gaussians.max_initial_static",
             "positive",
         );
-        check(self.motion.max_tracks > 0, "motion.max_tracks", "positive");
-        check(
-            (0.0..=1.0).contains(&self.unseen.min_valid),
-            "unseen.min_valid",
-            "0 to 1",
-        );
         check(
             g.initial_opacity > 0.0 && g.initial_opacity < 1.0,
             "gaussians.initial_opacity",
@@ -111,7 +105,13 @@ impl Settings {
             check((1.0..=4.0).contains(&gamma), key, "1 to 4");
         }
         check(self.motion.num_bases > 0, "motion.num_bases", "positive");
+        check(self.motion.max_tracks > 0, "motion.max_tracks", "positive");
         check(self.unseen.every > 0, "unseen.every", "positive");
+        check(
+            (0.0..=1.0).contains(&self.unseen.min_valid),
+            "unseen.min_valid",
+            "0 to 1",
+        );
         check(self.loss.ssim <= 1.0, "loss.ssim", "0 to 1");
         let l = &self.learning_rates;
         let positive = [
