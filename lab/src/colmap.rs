@@ -45,6 +45,21 @@ pub(crate) struct Lens {
     pub(crate) focal: DVec2,
     /// px
     pub(crate) center: DVec2,
+    /// Whether it has no distortion.
+    pub(crate) is_pinhole: bool,
+}
+
+impl Lens {
+    /// The same for pictures of another size.
+    pub(crate) fn of_size(self, size: DVec2) -> Self {
+        let factor = size / self.size;
+        Self {
+            size,
+            focal: self.focal * factor,
+            center: self.center * factor,
+            ..self
+        }
+    }
 }
 
 /// COLMAP's camera models by their numbers: name, how many parameters, and whether there are two focal lengths.
@@ -95,12 +110,20 @@ impl Model {
         })
     }
 
-    /// Which images are training frames, of which these are the stems, by the rule that `limpid` has: all of them, where the
-    /// model has no others, and else those with an even number, or one that ends in `_left`.
-    pub(crate) fn training(&self, stems: &BTreeSet<String>) -> Result<Vec<usize>, LabError> {
+    /// Which images are training frames, of which these are the stems, by the rule that `limpid` has: those of the same names,
+    /// where the model has no others or there are no test views, and else those with an even number, or one that ends in `_left`.
+    pub(crate) fn training(
+        &self,
+        stems: &BTreeSet<String>,
+        has_test_views: bool,
+    ) -> Result<Vec<usize>, LabError> {
         let all = 0..self.images.len();
-        if self.images.iter().all(|i| stems.contains(&i.stem)) {
-            return Ok(all.collect());
+        let same: Vec<usize> = all
+            .clone()
+            .filter(|at| stems.contains(&self.images[*at].stem))
+            .collect();
+        if same.len() == self.images.len() || (!has_test_views && same.len() == stems.len()) {
+            return Ok(same);
         }
         let mut training = Vec::new();
         for at in all {
@@ -173,7 +196,11 @@ fn posed(numbers: [f64; 7], camera: u32, name: &str, at: Range<usize>) -> Option
     })
 }
 
-fn lens(size: [f64; 2], numbers: &[f64], two_focals: bool) -> Option<Lens> {
+fn lens(
+    size: [f64; 2],
+    numbers: &[f64],
+    (model, _, two_focals): (&str, usize, bool),
+) -> Option<Lens> {
     let (focal, rest) = if two_focals {
         (
             DVec2::new(*numbers.first()?, *numbers.get(1)?),
@@ -189,6 +216,7 @@ fn lens(size: [f64; 2], numbers: &[f64], two_focals: bool) -> Option<Lens> {
         size,
         focal,
         center,
+        is_pinhole: model.ends_with("PINHOLE"),
     })
 }
 
@@ -257,10 +285,10 @@ fn binary_lenses(bytes: &[u8]) -> Option<BTreeMap<u32, Lens>> {
     let mut lenses = BTreeMap::new();
     for _ in 0..file.u64()? {
         let id = file.u32()?;
-        let &(_, count, two_focals) = MODELS.get(usize::try_from(file.u32()?).ok()?)?;
+        let model = *MODELS.get(usize::try_from(file.u32()?).ok()?)?;
         let size = [file.u64()? as f64, file.u64()? as f64];
-        let numbers: Option<Vec<f64>> = (0..count).map(|_| file.f64()).collect();
-        lenses.insert(id, lens(size, &numbers?, two_focals)?);
+        let numbers: Option<Vec<f64>> = (0..model.1).map(|_| file.f64()).collect();
+        lenses.insert(id, lens(size, &numbers?, model)?);
     }
     Some(lenses)
 }
@@ -301,10 +329,10 @@ fn text_lenses(bytes: &[u8]) -> Option<BTreeMap<u32, Lens>> {
         let mut fields = line.split_whitespace();
         let id = fields.next()?.parse().ok()?;
         let name = fields.next()?;
-        let &(_, _, two_focals) = MODELS.iter().find(|model| model.0 == name)?;
+        let model = *MODELS.iter().find(|model| model.0 == name)?;
         let numbers: Option<Vec<f64>> = fields.map(|field| field.parse().ok()).collect();
         let (size, numbers) = numbers.as_ref()?.split_first_chunk()?;
-        lenses.insert(id, lens(*size, numbers, two_focals)?);
+        lenses.insert(id, lens(*size, numbers, model)?);
     }
     Some(lenses)
 }

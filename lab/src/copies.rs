@@ -1,8 +1,12 @@
 //! A copy of a scene in which one thing is another: a folder of links but for that.
 
 use crate::error::LabError;
+use glam::DVec2;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
+
+/// How pictures' names end.
+pub(crate) const PICTURES: &[&str] = &["png", "jpg", "jpeg"];
 
 /// Makes `copy` a folder of links to everything in `scene` but `part`, a path below it, which `write` makes: it is given where
 /// that is in the scene and where it goes. Nothing is done where the copy is there already; one that is half made is made anew.
@@ -78,6 +82,12 @@ pub(crate) fn rewrite(
         }
     }
     Ok(())
+}
+
+/// Width and height of a picture as it is stored, px.
+pub(crate) fn picture_size(path: &Path) -> Result<DVec2, LabError> {
+    let size = image::image_dimensions(path).map_err(|e| LabError::content(path, e))?;
+    Ok(DVec2::new(f64::from(size.0), f64::from(size.1)))
 }
 
 /// Whether a path ends in a dot and one of these, in large or small letters.

@@ -48,10 +48,10 @@ pub(crate) struct Record {
 pub(crate) struct Attempt {
     /// When it began, seconds since 1970.
     pub(crate) began: u64,
-    /// Time on the clock, s.
-    pub(crate) wall_seconds: f64,
+    /// Time on the clock, s; absent, as the processor's, while it runs, and where this program was killed before it ended.
+    pub(crate) wall_seconds: Option<f64>,
     /// Processor time, s.
-    pub(crate) cpu_seconds: f64,
+    pub(crate) cpu_seconds: Option<f64>,
     /// Most memory that was in use at once, MiB.
     pub(crate) peak_mib: Option<f64>,
     /// How it died; absent where it finished or was asked to end.
@@ -75,13 +75,21 @@ impl Record {
         }
     }
 
-    /// All attempts together: a run that went on from a checkpoint took what they all took.
+    /// All attempts together: a run that went on from a checkpoint took what they all took. `None` where that is not known of all.
     pub(crate) fn measured(&self) -> Option<Measured> {
         let last = self.attempts.last()?;
         let peaks = self.attempts.iter().filter_map(|a| a.peak_mib);
         Some(Measured {
-            cpu_seconds: self.attempts.iter().map(|a| a.cpu_seconds).sum(),
-            wall_seconds: self.attempts.iter().map(|a| a.wall_seconds).sum(),
+            cpu_seconds: self
+                .attempts
+                .iter()
+                .map(|a| a.cpu_seconds)
+                .sum::<Option<_>>()?,
+            wall_seconds: self
+                .attempts
+                .iter()
+                .map(|a| a.wall_seconds)
+                .sum::<Option<_>>()?,
             peak_mib: last.peak_mib.map(|last| peaks.fold(last, f64::max)),
         })
     }
@@ -127,23 +135,24 @@ pub fn execute(
         .write(true)
         .open(&path);
     let lock = lock.map_err(LabError::file(&path))?;
-    match lock.try_lock() {
-        // Some file systems have no locks; the program has one of its own in its folder.
-        Ok(()) | Err(TryLockError::Error(_)) => {}
+    let is_alone = match lock.try_lock() {
+        Ok(()) => true,
+        // Some file systems have no locks.
+        Err(TryLockError::Error(_)) => false,
         Err(TryLockError::WouldBlock) => return Ok(Outcome::Elsewhere),
-    }
-    let outcome = train(run, program, children, &lock);
+    };
+    let outcome = train(run, program, children, (&lock, is_alone));
     // Closing it is not enough: a process that another thread is just starting holds a copy of it for a moment.
     lock.unlock().ok();
     outcome
 }
 
-/// See [`execute`]; `lock` is held on the run.
+/// See [`execute`]; `lock` is held on the run, if `is_alone` says so.
 fn train(
     run: &PlannedRun,
     program: &Program,
     children: &Children,
-    mut lock: &File,
+    (mut lock, is_alone): (&File, bool),
 ) -> Result<Outcome, LabError> {
     let folder = &run.folder;
     if is_finished(folder) {
@@ -156,6 +165,15 @@ fn train(
     if has_checkpoint(folder) {
         // With all arguments: the program refuses a checkpoint that is of another run.
         command.arg("--resume");
+    } else if folder.exists() && !is_alone {
+        return Ok(Outcome::Failed(Failed {
+            how: format!(
+                "{} is there without a checkpoint, and this file system has no locks, which would tell whether another process is at \
+                 it; remove it if none is",
+                folder.display()
+            ),
+            last_lines: Vec::new(),
+        }));
     } else if folder.exists() {
         // What was begun and saved nothing.
         fs::remove_dir_all(folder).map_err(LabError::file(folder))?;
@@ -170,8 +188,21 @@ fn train(
     // Runs go side by side, and a thread each is the most that all of them together can use.
     command.env("RAYON_NUM_THREADS", "1");
 
-    let (began, clock) = (now(), Instant::now());
+    let clock = Instant::now();
+    let mut attempt = Attempt {
+        began: now(),
+        wall_seconds: None,
+        cpu_seconds: None,
+        peak_mib: None,
+        failed: None,
+        machine: Machine::here(),
+    };
+    let before = record.attempts.len();
+    record.attempts.push(attempt.clone());
+    let records = beside(folder, "json");
     let ended = children.run(&mut command, |process| {
+        // Where this program is killed before the other ends, nobody measures that.
+        write_json(&records, &record).ok();
         // For who wants to look at it or to end it; nothing depends on it.
         lock.set_len(0)
             .and_then(|()| writeln!(lock, "{process}"))
@@ -191,18 +222,14 @@ fn train(
         })
     };
     let usage = ended.rusage;
-    record.attempts.push(Attempt {
-        began,
-        wall_seconds: clock.elapsed().as_secs_f64(),
-        cpu_seconds: (usage.utime + usage.stime).as_secs_f64(),
-        peak_mib: (usage.maxrss > 0).then(|| usage.maxrss as f64 / f64::from(1 << 20)),
-        failed: match &outcome {
-            Outcome::Failed(failed) => Some(failed.clone()),
-            _ => None,
-        },
-        machine: Machine::here(),
-    });
-    write_json(&beside(folder, "json"), &record)?;
+    attempt.wall_seconds = Some(clock.elapsed().as_secs_f64());
+    attempt.cpu_seconds = Some((usage.utime + usage.stime).as_secs_f64());
+    attempt.peak_mib = (usage.maxrss > 0).then(|| usage.maxrss as f64 / f64::from(1 << 20));
+    if let Outcome::Failed(failed) = &outcome {
+        attempt.failed = Some(failed.clone());
+    }
+    record.attempts[before] = attempt;
+    write_json(&records, &record)?;
     if outcome == Outcome::Finished {
         let previous = folder.join("checkpoint").join(PREVIOUS_CHECKPOINT);
         // A study has hundreds of runs; where it stays it is only untidy.
@@ -332,7 +359,12 @@ mod tests {
         };
         assert!(first.failed.is_some() && second.failed.is_none());
         let measured = record.measured().expect("measured");
-        assert!((measured.cpu_seconds - first.cpu_seconds - second.cpu_seconds).abs() < 1e-12);
+        let of_both = first.cpu_seconds.zip(second.cpu_seconds).expect("measured");
+        assert!((measured.cpu_seconds - of_both.0 - of_both.1).abs() < 1e-12);
+        // What nobody saw the end of is not known, and neither is the sum.
+        let mut killed = record.clone();
+        killed.attempts[0].cpu_seconds = None;
+        assert!(killed.measured().is_none());
         assert!(measured.peak_mib >= first.peak_mib && measured.peak_mib >= second.peak_mib);
 
         assert_eq!(outcome(&run, &program), Outcome::WasThere);

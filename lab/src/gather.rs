@@ -31,6 +31,7 @@ pub fn gather(
         version: program.version.clone(),
         commit: program.commit.clone(),
         changed: program.changed,
+        fingerprint: program.changed.then(|| program.fingerprint.clone()),
         dates: None,
         machines: Vec::new(),
     };
@@ -158,8 +159,8 @@ except = ["b"]
         fs::create_dir_all(&folder).expect("a folder");
         let attempt = |failed| crate::execute::Attempt {
             began: 86_400 * case.seed,
-            wall_seconds: 3.0,
-            cpu_seconds: 2.0,
+            wall_seconds: Some(3.0),
+            cpu_seconds: Some(2.0),
             peak_mib: Some(100.0),
             failed,
             machine: Machine {

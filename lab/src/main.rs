@@ -246,7 +246,7 @@ impl StudyArguments {
 fn listen() -> Result<Arc<Children>, LabError> {
     let children = Arc::new(Children::default());
     let heard = children.clone();
-    let set = ctrlc::set_handler(move || {
+    let set = signals::on_end(move || {
         if !heard.are_stopped() {
             say(
                 "ending; what is running writes its checkpoint, and the same command goes on from there",

@@ -1,7 +1,7 @@
 //! Inputs of training made worse by so much: which, by how much, and how for depth, tracks and masks.
 
 use crate::arrays::Array;
-use crate::copies::rewrite;
+use crate::copies::{PICTURES, rewrite};
 use crate::error::LabError;
 use crate::hash::hashed;
 use rand_chacha::ChaCha8Rng;
@@ -229,9 +229,21 @@ fn jitter(tracks: &mut Array, px: f64, noise: &mut Noise, path: &Path) -> Result
 
 /// Turns squares of each mask into their opposite ([`Perturb::mask_squares`]).
 pub(crate) fn masks(from: &Path, to: &Path, squares: u16, draw: Draw<'_>) -> Result<(), LabError> {
-    rewrite(from, to, &["png", "jpg", "jpeg"], |frame, from, to| {
-        let mask = image::open(from).map_err(|e| LabError::content(from, e))?;
-        let mut mask = mask.into_luma8();
+    rewrite(from, to, PICTURES, |frame, from, to| {
+        let stored = image::open(from).map_err(|e| LabError::content(from, e))?;
+        let mut mask = stored.to_luma8();
+        // `limpid` reads such masks by other rules, of which an opposite knows nothing.
+        let is_plain = !stored.color().has_alpha()
+            && stored.color().bytes_per_pixel() == stored.color().channel_count()
+            && stored
+                .to_rgb8()
+                .pixels()
+                .all(|pixel| pixel.0 == [pixel.0[0]; 3]);
+        let largest = mask.iter().copied().max().unwrap_or(0);
+        if !is_plain || (1..=127).contains(&largest) {
+            let what = "squares are changed in masks of 8-bit grey, from 0 to 255, and this is another: leave the scene out with `except`";
+            return Err(LabError::content(from, what));
+        }
         let (width, height) = mask.dimensions();
         let side = (f64::from(width) * 25.0 / 512.0).round() as u32;
         let side = side.max(1).min(width).min(height);

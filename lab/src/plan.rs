@@ -165,9 +165,14 @@ impl Program {
             .arg("--dry-run")
             .output();
         let answer = asked.map_err(LabError::file(&self.path))?;
-        // An earlier program, which does not know the flag, ends with 2.
-        let refused = answer.status.code() == Some(1);
-        Ok(refused.then(|| String::from_utf8_lossy(&answer.stderr).trim().to_owned()))
+        let said = String::from_utf8_lossy(&answer.stderr).trim().to_owned();
+        // An earlier program does not know the flag.
+        let refused = match answer.status.code() {
+            Some(1) => true,
+            Some(2) => !said.contains("'--dry-run'"),
+            _ => false,
+        };
+        Ok(refused.then_some(said))
     }
 }
 

@@ -299,6 +299,7 @@ mod tests {
                 version: "limpid 0".to_owned(),
                 commit: None,
                 changed: false,
+                fingerprint: None,
                 dates: None,
                 machines: Vec::new(),
             },

@@ -2,13 +2,13 @@
 
 use crate::arrays::Array;
 use crate::colmap::{Lens, Model, Pose};
-use crate::copies::{entries, has_ending};
+use crate::copies::{PICTURES, entries, has_ending, picture_size};
 use crate::error::LabError;
 use crate::perturb::{Draw, depths, median};
 use glam::{DQuat, DVec2, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// How a camera is moved, in the world's axes.
 #[derive(Clone, Copy)]
@@ -30,8 +30,16 @@ pub(crate) fn poses(
 ) -> Result<(), LabError> {
     let model = Model::read(from)?;
     let stem = |path: &Path| path.file_stem().map(|s| s.to_string_lossy().into_owned());
-    let stems: BTreeSet<String> = entries(pictures)?.iter().filter_map(|p| stem(p)).collect();
-    let training = model.training(&stems)?;
+    let files = |folder: &Path| -> Result<Vec<PathBuf>, LabError> {
+        let all = entries(folder)?.into_iter();
+        Ok(all.filter(|file| has_ending(file, PICTURES)).collect())
+    };
+    let frames = files(pictures)?;
+    let stems: BTreeSet<String> = frames.iter().filter_map(|p| stem(p)).collect();
+    let test_views = pictures.with_file_name("images_test");
+    let has_test_views = test_views.is_dir() && !files(&test_views)?.is_empty();
+    let training = model.training(&stems, has_test_views)?;
+    let size = picture_size(frames.first().map_or(pictures, PathBuf::as_path))?;
     if training.len() < 2 {
         let what = "poses of a single training frame cannot be wrong against each other";
         return Err(LabError::content(from, what));
@@ -44,7 +52,8 @@ pub(crate) fn poses(
             .lenses
             .get(&image.camera)
             .ok_or_else(|| LabError::content(from, format!("it has no camera {}", image.camera)))?;
-        views.push((image.pose, *lens));
+        // COLMAP may have seen larger pictures.
+        views.push((image.pose, lens.of_size(size)));
     }
     let moves: Vec<Move> = training
         .iter()

@@ -60,6 +60,9 @@ pub struct Origin {
     pub commit: Option<String>,
     /// Whether files differed from that commit.
     pub changed: bool,
+    /// Hash of its bytes, where files differed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fingerprint: Option<String>,
     /// The first and the last day on which a run began.
     pub dates: Option<(String, String)>,
     /// What runs were made on.
@@ -67,15 +70,21 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// The program, as far as its commit tells.
+    /// The program, as far as its commit tells, or its bytes where it is of none.
     pub(crate) fn program(&self) -> String {
-        match &self.commit {
-            Some(commit) if self.changed => {
-                format!("{}, commit `{commit}` with changes on top", self.version)
+        let Self { version, .. } = self;
+        match (&self.commit, &self.fingerprint) {
+            (Some(commit), Some(bytes)) if self.changed => {
+                format!("{version}, commit `{commit}` with changes on top (`{bytes}`)")
             }
-            Some(commit) => format!("{}, commit `{commit}`", self.version),
-            // Its version may name one.
-            None => self.version.clone(),
+            (Some(commit), None) if self.changed => {
+                format!("{version}, commit `{commit}` with changes on top")
+            }
+            // Where a version names the commit that last changed the program, later ones are of words.
+            (Some(commit), _) if !version.contains("(commit ") => {
+                format!("{version}, commit `{commit}`")
+            }
+            _ => version.clone(),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::arrays::Array;
 use crate::colmap::{Lens, Model, images_file};
-use crate::copies::{entries, has_ending, rewrite};
+use crate::copies::{PICTURES, entries, has_ending, picture_size, rewrite};
 use crate::error::LabError;
 use crate::perturb::{Draw, Perturb, median};
 use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3};
@@ -18,8 +18,6 @@ pub(crate) const EXPOSURE: &str = "truth/exposure";
 
 /// The training frames without blur.
 const SHARP: &str = "truth/images_sharp";
-
-const PICTURES: &[&str] = &["png", "jpg", "jpeg"];
 
 /// Cameras from which a frame's light comes in equal parts.
 const CAMERAS: usize = 128;
@@ -55,6 +53,15 @@ impl Retake {
             let what = "its cameras differ in size or focal length: frames are taken anew by one";
             return Err(LabError::content(&scene.join(&file), what));
         }
+        if !lens.is_pinhole {
+            let what = "its lens is distorted: frames are taken anew by a pinhole";
+            return Err(LabError::content(&scene.join(&file), what));
+        }
+        let frames = scene.join(FRAMES);
+        let mut pictures = entries(&frames)?
+            .into_iter()
+            .filter(|file| has_ending(file, PICTURES));
+        let size = picture_size(&pictures.next().unwrap_or(frames))?;
         let mut depths = Vec::new();
         for file in entries(truth)? {
             if has_ending(&file, &["npy"]) {
@@ -73,7 +80,7 @@ impl Retake {
         Ok(Self {
             scene: scene.to_owned(),
             truth: truth.to_owned(),
-            lens,
+            lens: lens.of_size(size),
             depth,
             disparities,
             shake_px: by.shake_px,
@@ -123,6 +130,10 @@ impl Retake {
             let [height, width] = [sharp.height(), sharp.width()].map(u64::from);
             if depth.shape != [height, width] {
                 let what = format!("the true depth of {frame} is {:?}, not [H, W]", depth.shape);
+                return Err(LabError::content(&self.scene, what));
+            }
+            if DVec2::new(width as f64, height as f64) != self.lens.size {
+                let what = format!("the sharp picture of {frame} has not the size of the frames");
                 return Err(LabError::content(&self.scene, what));
             }
             let cameras = self.cameras(frame, draw);

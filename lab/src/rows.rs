@@ -51,8 +51,13 @@ pub(crate) fn rows(study: &Study, arms: &[Arm], all: &ByArm<'_>) -> Vec<Row> {
     arms.iter()
         .filter_map(|arm| {
             let runs = all.get(arm.name.as_str())?;
-            let others = [&arm.against, &study.bound].into_iter().flatten();
-            let mut others = others.filter_map(|name| all.get(name.as_str()));
+            // The share of the way to the bound begins at the baseline.
+            let from = study.bound.is_some().then(|| study.baseline());
+            let others = [arm.against.as_deref(), study.bound.as_deref(), from];
+            let mut others = others
+                .into_iter()
+                .flatten()
+                .filter_map(|name| all.get(name));
             let cells = (0..study.score.len()).map(|score| cell(arm, score));
             let of_program = |(seed, run): (&u64, &&Finished)| Some((*seed, run.program.clone()?));
             Some(Row {

@@ -112,6 +112,16 @@ pub struct Plot {
     pub front: bool,
 }
 
+impl Plot {
+    /// All that it shows.
+    fn scores(&self) -> impl Iterator<Item = (&'static str, &Score)> {
+        let [x, otherwise] = [&self.x, &self.otherwise].map(Option::as_ref);
+        let all = [("x", x), ("y", Some(&self.y)), ("otherwise", otherwise)];
+        all.into_iter()
+            .filter_map(|(key, score)| Some((key, score?)))
+    }
+}
+
 impl Knob {
     /// The field of [`Perturb`] that it turns, where it does not turn a setting.
     pub(crate) fn perturbs(&self) -> Option<&str> {
@@ -192,6 +202,12 @@ impl Study {
         ] {
             if is_empty {
                 return wrong(key, "at least one is needed".to_owned());
+            }
+        }
+        for (key, score) in self.plot.iter().flat_map(Plot::scores) {
+            if !self.score.contains(score) {
+                let problem = format!("`{}` is not in `score`", score.name());
+                return wrong(&format!("plot.{key}"), problem);
             }
         }
         for (i, seed) in self.seeds.iter().enumerate() {
@@ -325,6 +341,7 @@ score = ["all"]
                 &["`knobs[0].values[0]`", "70000"],
             ),
             ("[plot]\ny = \"all\"\nz = 1", &["`plot.z`"]),
+            ("[plot]\ny = \"ssim\"", &["`plot.y`", "`ssim`", "`score`"]),
             ("about", &["line 7"]),
         ] {
             let said = mistake(more);

@@ -161,10 +161,59 @@ const MISTAKES: [Mistake; 12] = [
 #[test]
 fn scenes_that_are_right_raise_no_alarm() {
     for (name, scene) in scenes() {
-        for finding in check(&scene) {
+        for finding in check(&scene, When::Auto) {
             assert!(finding.verdict <= Verdict::Untold, "{name}: {finding:?}");
         }
     }
+}
+
+#[test]
+fn depth_in_places_plain_points_and_large_masks_are_not_wrong() {
+    let (_, demo) = scenes().swap_remove(0);
+    let size = [
+        demo.frames[0].view.image.width,
+        demo.frames[0].view.image.height,
+    ];
+
+    // As of a laser that scans.
+    let mut sparse = demo.clone();
+    let known = |i: usize| (i % size[0]).is_multiple_of(4) && (i / size[0]).is_multiple_of(4);
+    for map in sparse.frames.iter_mut().filter_map(|f| f.depth.as_mut()) {
+        let values = map.values.iter_mut().enumerate();
+        values
+            .filter(|(i, _)| !known(*i))
+            .for_each(|(_, z)| *z = 0.0);
+    }
+    let mut plain = demo.clone();
+    plain
+        .points
+        .iter_mut()
+        .for_each(|point| point.color = [0.5; 3]);
+    // Tracks are lifted by depth all around them: what moves needs more of it.
+    for (scene, asked) in [(&sparse, When::Never), (&plain, When::Auto)] {
+        for finding in check(scene, asked) {
+            assert!(finding.verdict <= Verdict::Untold, "{finding:?}");
+        }
+    }
+
+    // All but a frame of what stands still around them.
+    let mut large = demo.clone();
+    for map in large.frames.iter_mut().filter_map(|f| f.mask.as_mut()) {
+        for (i, value) in map.values.iter_mut().enumerate() {
+            let [x, y] = [i % size[0], i / size[0]];
+            let inside = |at: usize, size: usize| (size / 10..size - size / 10).contains(&at);
+            if inside(x, size[0]) && inside(y, size[1]) {
+                *value = 1.0;
+            }
+        }
+    }
+    let masks = |scene: &Scene, asked| {
+        let findings = check(scene, asked);
+        findings.into_iter().find(|f| f.what == "masks")
+    };
+    let found = masks(&large, When::Auto).expect("a finding");
+    assert_eq!(found.verdict, Verdict::Doubtful, "{found:?}");
+    assert!(masks(&large, When::Never).is_none(), "nothing moves anyhow");
 }
 
 #[test]
@@ -178,7 +227,7 @@ fn no_mistake_is_passed_over() {
                 continue;
             }
             made += 1;
-            let findings = check(&wrong);
+            let findings = check(&wrong, When::Auto);
             let said = |f: &trainer::check::Finding| {
                 f.verdict >= Verdict::Doubtful && f.text.contains(mistake.said)
             };
@@ -198,7 +247,7 @@ fn a_single_frame_that_is_elsewhere_is_named() {
     let found = |change: &dyn Fn(&mut io::Frame)| {
         let mut scene = demo.clone();
         change(&mut scene.frames[3]);
-        let findings = check(&scene);
+        let findings = check(&scene, When::Auto);
         let single = findings.into_iter().find(|f| f.what == "single frames");
         single.expect("a finding")
     };
@@ -216,7 +265,7 @@ fn a_single_frame_that_is_elsewhere_is_named() {
         frame.view.name = name;
         resting.frames[k] = frame;
     }
-    let findings = check(&resting);
+    let findings = check(&resting, When::Auto);
     let single = findings.iter().find(|f| f.what == "single frames");
     assert!(
         single.is_some_and(|f| f.verdict == Verdict::Pass),

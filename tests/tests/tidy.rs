@@ -8,9 +8,10 @@ use std::process::Command;
 use toml::{Table, Value};
 
 /// Every crate of the workspace and the crates of ours that it may depend on.
-const ARROWS: [(&str, &[&str]); 14] = [
+const ARROWS: [(&str, &[&str]); 15] = [
     ("property", &[]),
     ("host", &[]),
+    ("signals", &[]),
     ("splat-core", &["host"]),
     ("motion-bases", &["host", "property"]),
     ("bpnet", &["host"]),
@@ -29,7 +30,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
             "io",
         ],
     ),
-    ("limpid", &["io", "trainer"]),
+    ("limpid", &["io", "signals", "trainer"]),
     (
         "limpid-tests",
         &[
@@ -48,12 +49,19 @@ const ARROWS: [(&str, &[&str]); 14] = [
         "limpid-bench",
         &["host", "splat-core", "bpnet", "io", "trainer"],
     ),
-    ("limpid-lab", &[]),
+    ("limpid-lab", &["signals"]),
     ("xtask", &[]),
 ];
 
 /// Crates that know nothing of Burn, not even through another crate's feature.
-const WITHOUT_BURN: [&str; 5] = ["unseen-views", "io", "property", "limpid-lab", "xtask"];
+const WITHOUT_BURN: [&str; 6] = [
+    "unseen-views",
+    "io",
+    "property",
+    "signals",
+    "limpid-lab",
+    "xtask",
+];
 
 /// Crates that neither touch files nor log nor look at a clock.
 const SILENT: [&str; 5] = [

@@ -27,6 +27,28 @@ impl Listing {
         stems
     }
 
+    /// The files by stem, of which each of these stems may have one; an error where there are files and no stem has any, since who
+    /// put them there expects them to be used.
+    pub(crate) fn named_as(
+        self,
+        stems: &[String],
+        folder: &Path,
+    ) -> Result<BTreeMap<String, PathBuf>, IoError> {
+        let first = self.files.keys().next();
+        match (first, stems.first()) {
+            (Some(found), Some(expected))
+                if !stems.iter().any(|stem| self.files.contains_key(stem)) =>
+            {
+                Err(IoError::missing(
+                    folder,
+                    format!("files that are named as the frames: {expected}, not {found}"),
+                    "rename them, or remove the folder to do without",
+                ))
+            }
+            _ => Ok(self.files),
+        }
+    }
+
     /// The files of these stems; those that are missing are named in the error.
     pub(crate) fn pick(
         &self,

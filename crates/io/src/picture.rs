@@ -185,7 +185,8 @@ pub(crate) fn read_image_for(
 }
 
 /// Reads the first channel of a PNG or JPEG, in [0, 1], turned as its EXIF data says. (Masks are often stored as three equal
-/// channels.) Where the colour is the same everywhere and the alpha channel is not, the alpha channel.
+/// channels.) Where the colour is the same everywhere and the alpha channel is not, the alpha channel; where instances have colours
+/// of their own, 1 for all but black; and where 16 bits hold what 8 would, as those 8.
 ///
 /// # Errors
 /// [`IoError::Access`], [`IoError::Truncated`] or [`IoError::Malformed`].
@@ -204,6 +205,17 @@ pub(crate) fn read_map_for(
     let channel = |values: &[f32], channels: usize, at: usize| {
         values.iter().skip(at).step_by(channels).copied().collect()
     };
+    // Numbers, as of instances, in more bits than they need.
+    if let DynamicImage::ImageLuma16(deep) = &picture
+        && deep.iter().all(|value| *value <= u16::from(u8::MAX))
+    {
+        let values = deep.iter().map(|value| f32::from(*value) / 255.0).collect();
+        return Ok(Map {
+            width,
+            height,
+            values,
+        });
+    }
     let values = if picture.color().has_alpha() {
         let pixels = picture.into_rgba32f().into_raw();
         let says = says_alpha(&pixels);
@@ -213,15 +225,51 @@ pub(crate) fn read_map_for(
                 "masks have one colour everywhere: they are read from the alpha channel",
             );
         }
-        channel(&pixels, 4, if says { 3 } else { 0 })
+        if !says && is_coloured(&pixels, 4) {
+            of_colours(&pixels, 4, notes)
+        } else {
+            channel(&pixels, 4, if says { 3 } else { 0 })
+        }
     } else {
-        channel(picture.into_rgb32f().as_raw(), 3, 0)
+        let pixels = picture.into_rgb32f().into_raw();
+        if is_coloured(&pixels, 3) {
+            of_colours(&pixels, 3, notes)
+        } else {
+            channel(&pixels, 3, 0)
+        }
     };
     Ok(Map {
         width,
         height,
         values,
     })
+}
+
+/// Whether pixels [N, C] are of several colours and not only greys, as where each instance has one of its own; a JPEG's greys are
+/// not quite grey.
+fn is_coloured(pixels: &[f32], channels: usize) -> bool {
+    pixels.chunks_exact(channels).any(|pixel| {
+        let [least, most] = range(pixel);
+        most - least > 0.1
+    })
+}
+
+/// A mask of such pixels: all that is not black, but for what a JPEG leaves beside an edge.
+fn of_colours(pixels: &[f32], channels: usize, notes: &mut Vec<String>) -> Vec<f32> {
+    note(
+        notes,
+        "masks are coloured: all that is not black in them moves, whichever its colour",
+    );
+    let pixels = pixels.chunks_exact(channels);
+    pixels
+        .map(|pixel| f32::from(range(pixel)[1] > 0.06))
+        .collect()
+}
+
+/// Least and most of a pixel's red, green and blue.
+fn range(pixel: &[f32]) -> [f32; 2] {
+    let [r, g, b] = [pixel[0], pixel[1], pixel[2]];
+    [r.min(g).min(b), r.max(g).max(b)]
 }
 
 /// Whether it is the alpha channel that says something, of pixels [N, 4]: it differs and the colour does not. A picture that
@@ -388,6 +436,36 @@ mod tests {
         };
         write_map_png(&path, &map).unwrap();
         assert_eq!(read_map(&path).unwrap().values, [128.0 / 255.0, 0.0]);
+    }
+
+    #[test]
+    fn masks_hold_numbers_in_16_bits_and_colours_of_instances() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let read = || {
+            let mut notes = Vec::new();
+            let map = read_map_for(&path, None, &mut notes).unwrap();
+            (map.values, notes.concat())
+        };
+        let deep = |values: Vec<u16>| {
+            let picture = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(3, 1, values);
+            picture.unwrap().save(&path).unwrap();
+        };
+        deep(vec![0, 1, 3]);
+        assert_eq!(read().0, [0.0, 1.0 / 255.0, 3.0 / 255.0]);
+        deep(vec![0, 32_768, 65_535]);
+        assert_eq!(read().0, [0.0, 32_768.0 / 65_535.0, 1.0]);
+
+        // The first colours of the palette that segmenters use, and black.
+        let colours = vec![128, 0, 0, 0, 128, 0, 0, 0, 0];
+        let picture = image::RgbImage::from_raw(3, 1, colours);
+        picture.unwrap().save(&path).unwrap();
+        let (values, notes) = read();
+        assert_eq!(values, [1.0, 1.0, 0.0]);
+        assert!(notes.contains("coloured"), "{notes}");
+        let grey = image::RgbImage::from_raw(3, 1, vec![9, 9, 9, 200, 200, 200, 255, 255, 255]);
+        grey.unwrap().save(&path).unwrap();
+        assert_eq!(read().0, [9.0, 200.0, 255.0].map(|v| v / 255.0));
     }
 
     #[test]

@@ -45,7 +45,9 @@ function showRun(facts) {
   if (isNumber(metrics?.shutter)) rows.push(["shutter", `${decimals(metrics.shutter, 2)} frames`], ["aperture", `${decimals(metrics.aperture, 4)} scene units`]);
   const pairs = (list) => el("table", { class: "pair" }, el("tbody", {}, ...list.map(([key, value]) => el("tr", {}, el("td", {}, key), el("td", {}, value)))));
   const about = $("about");
-  about.replaceChildren(pairs(rows), el("h3", {}, "The same run again, from the folder that holds the scene"), el("pre", {}, facts.command));
+  // A run that was changed on its way had another beginning than such a one has.
+  const again = facts.changes.length ? "A run that has from its beginning what this one had in the end" : "The same run again";
+  about.replaceChildren(pairs(rows), el("h3", {}, `${again}, from the folder that holds the scene`), el("pre", {}, facts.command));
   for (const heading of about.querySelectorAll("h3")) heading.style.marginTop = "1.4rem";
   if (facts.others.length) {
     about.append(el("h3", {}, "Settings that are not the default"), pairs(facts.others.map(({ setting, value, default: usual }) => [setting, `${text(value)} (default ${text(usual)})`])));

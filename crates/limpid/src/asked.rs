@@ -20,7 +20,7 @@ pub(crate) struct TrainArguments {
     out: Option<PathBuf>,
     /// Number of iterations [default: 3000, with `--profile paper` 40000].
     #[arg(long, value_name = "N")]
-    iterations: Option<usize>,
+    pub(crate) iterations: Option<usize>,
     /// Train as many iterations as fit into so many minutes on this machine, start and end included; no more than otherwise.
     #[arg(long, value_name = "M", value_parser = minutes, conflicts_with = "resume")]
     pub(crate) minutes: Option<f64>,
@@ -142,6 +142,16 @@ impl TrainArguments {
             Some(path) => config::read_table(path)?,
             None => Table::new(),
         };
+        if let Some(path) = &self.config
+            && self.profile.is_some()
+            && config::is_of_a_run(path)
+        {
+            return Err(format!(
+                "{} says every setting, and nothing would be left of --profile, which are other defaults: leave one of the two out",
+                path.display()
+            )
+            .into());
+        }
         if let Some(preset) = self.preset {
             config::merge(&mut table, preset.table()?);
         }
@@ -170,7 +180,7 @@ impl TrainArguments {
         ];
         for (key, value) in flags {
             if let Some(value) = value {
-                config::insert(&mut table, key, value)?;
+                config::insert(&mut table, key, value);
             }
         }
         for assignment in &self.set {

@@ -242,10 +242,16 @@ impl Forecast {
     pub(crate) fn new(trainer: &Trainer, memory: Option<u64>) -> Result<Self, Failure> {
         let iterations = trainer.settings().iterations;
         let frames = memory.map(|_| trainer.run().views().train.len());
+        let limit = if trainer.limits_gaussians() {
+            "at most"
+        } else {
+            "with as many Gaussians as now, of which there is no limit"
+        };
         let memory = memory.map_or_else(String::new, |bytes| {
-            format!(", and {} MiB of memory at most", mib(bytes))
+            format!(", and {} MiB of memory {limit}", mib(bytes))
         });
-        let course = trainer.course(iterations)?;
+        // A run that was made longer keeps the moments of the one that was started.
+        let course = trainer.course(trainer.schedule().iterations)?;
         let (done, length) = (trainer.iteration(), (iterations, frames));
         Ok(Self::of(done, length, course, memory))
     }

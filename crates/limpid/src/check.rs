@@ -64,7 +64,7 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
     };
     let scene = config.open_scene()?;
     let mut text = inventory(&scene)?;
-    let findings = check(&scene);
+    let findings = check(&scene, config.settings.motion.when);
     for finding in &findings {
         writeln!(text, "{}", line(finding))?;
     }
@@ -197,8 +197,12 @@ fn line(finding: &Finding) -> String {
 }
 
 /// Looks at the inputs of a training, and stops it where they cannot be right, unless it is to go on all the same.
-pub(crate) fn before_training(scene: &io::Scene, goes_on: bool) -> Result<(), Failure> {
-    let findings = check(scene);
+pub(crate) fn before_training(
+    scene: &io::Scene,
+    settings: &Settings,
+    goes_on: bool,
+) -> Result<(), Failure> {
+    let findings = check(scene, settings.motion.when);
     for finding in &findings {
         if finding.verdict == Verdict::Wrong {
             conclude!("{}", line(finding));

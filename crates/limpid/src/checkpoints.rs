@@ -81,9 +81,14 @@ impl Checkpoints {
         Ok(())
     }
 
-    /// Writes one on the way: where that fails training goes on.
-    pub(crate) fn save_on_the_way(&mut self, trainer: &Trainer) {
-        if let Err(problem) = self.save(trainer) {
+    /// Writes one on the way, where the folder is `ready` for it: where that fails training goes on.
+    pub(crate) fn save_on_the_way(
+        &mut self,
+        trainer: &Trainer,
+        ready: impl FnOnce() -> Result<(), Failure>,
+    ) {
+        self.tried = Instant::now();
+        if let Err(problem) = ready().and_then(|()| self.save(trainer)) {
             let problem = with_causes(&*problem);
             say!(
                 "warning: no checkpoint after iteration {}: {problem}; training goes on, and tries again",

@@ -250,10 +250,15 @@ fn in_file(path: &Path, line: Option<usize>, mistake: &Mistake) -> Failure {
     format!("{line}{mistake}: {}", path.display()).into()
 }
 
+/// Whether a config file is a run's `config.json`, which has all settings.
+pub(crate) fn is_of_a_run(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == "json")
+}
+
 /// A config file (or a run's `config.json`) as a table; a relative scene is relative to the file.
 pub(crate) fn read_table(path: &Path) -> Result<Table, Failure> {
     let text = std::fs::read_to_string(path).map_err(|e| format!("{e}: {}", path.display()))?;
-    if path.extension().is_some_and(|e| e == "json") {
+    if is_of_a_run(path) {
         let config = parse_json(&text, path)?;
         if !config.changes.is_empty() {
             say!(
@@ -287,28 +292,27 @@ pub(crate) fn set(table: &mut Table, assignment: &str) -> Result<(), Failure> {
         .unwrap_or_else(|| Value::String(text.to_owned()));
     // By itself first, where it is known who said it.
     let mut alone = Table::new();
-    insert(&mut alone, key.trim(), value.clone())?;
+    insert(&mut alone, key.trim(), value.clone());
     split(alone).map_err(|e| format!("--set {assignment}: {e}"))?;
-    insert(table, key.trim(), value)
+    insert(table, key.trim(), value);
+    Ok(())
 }
 
 /// Inserts a value under a dotted key.
-pub(crate) fn insert(table: &mut Table, key: &str, value: Value) -> Result<(), Failure> {
-    match key.split_once('.') {
-        None => {
-            table.insert(key.to_owned(), value);
-            Ok(())
-        }
+pub(crate) fn insert(table: &mut Table, key: &str, value: Value) {
+    let (first, value) = match key.split_once('.') {
+        None => (key, value),
         Some((first, rest)) => {
-            let inner = table
-                .entry(first)
-                .or_insert_with(|| Value::Table(Table::new()));
-            let Value::Table(inner) = inner else {
-                return Err(format!("{first} is no group of settings").into());
+            // A choice by its name alone, such as `srgb`, gives way to one with a number.
+            let mut inner = match table.remove(first) {
+                Some(Value::Table(inner)) => inner,
+                _ => Table::new(),
             };
-            insert(inner, rest, value)
+            insert(&mut inner, rest, value);
+            (first, Value::Table(inner))
         }
-    }
+    };
+    table.insert(first.to_owned(), value);
 }
 
 /// Lays `over` on `base`, group by group.
@@ -353,6 +357,7 @@ pub(crate) fn from_table(table: Table, base: &Config) -> Result<Config, Failure>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use trainer::settings::TransferKind;
 
     fn table(text: &str) -> Table {
         text.parse().expect("toml")
@@ -373,6 +378,20 @@ mod tests {
         assert_eq!(config.settings.blur.kernel_size, 5);
         assert_eq!(config.settings.loss.gauge, 0.5);
         assert_eq!(config.settings.unseen, Settings::default().unseen);
+    }
+
+    #[test]
+    fn a_choice_with_a_number_takes_the_place_of_one_by_its_name_and_the_other_way_round() {
+        let settings = |table: Table| {
+            let config = from_table(table, &Config::of(Settings::default()));
+            config.expect("settings").settings.camera.transfer
+        };
+        // As a run's config.json has it.
+        let mut t = Config::of(Settings::default()).table().expect("a table");
+        set(&mut t, "camera.transfer.power=2.2").expect("a transfer");
+        assert_eq!(settings(t.clone()), TransferKind::Power(2.2));
+        set(&mut t, "camera.transfer=srgb").expect("a transfer");
+        assert_eq!(settings(t), TransferKind::Srgb);
     }
 
     #[test]

@@ -2,15 +2,16 @@
 
 use crate::failure::Failure;
 use crate::say::say;
-use std::fs::{File, TryLockError};
-use std::path::Path;
+use std::fs::{File, Metadata, TryLockError};
+use std::path::{Path, PathBuf};
 
 const LOCK_FILE: &str = ".lock";
 
 /// A folder that no other run writes to; free again when this goes, or the program ends, however it does.
 #[derive(Debug)]
 pub(crate) struct Lock {
-    _file: File,
+    file: File,
+    path: PathBuf,
 }
 
 impl Lock {
@@ -53,6 +54,26 @@ impl Lock {
                 std::fs::remove_file(leftover).ok();
             }
         }
-        Ok(Self { _file: file })
+        Ok(Self { file, path })
     }
+
+    /// Whether the folder at that path is still the one that was taken: it may have been removed, or moved away, and be another
+    /// run's.
+    pub(crate) fn holds(&self) -> bool {
+        let there = std::fs::metadata(&self.path).ok();
+        let own = self.file.metadata().ok();
+        matches!((there, own), (Some(there), Some(own)) if is_same(&there, &own))
+    }
+}
+
+#[cfg(unix)]
+fn is_same(one: &Metadata, other: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt as _;
+    (one.dev(), one.ino()) == (other.dev(), other.ino())
+}
+
+/// Elsewhere a folder with an open file in it stays where it is.
+#[cfg(not(unix))]
+fn is_same(_: &Metadata, _: &Metadata) -> bool {
+    true
 }

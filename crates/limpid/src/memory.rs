@@ -23,9 +23,14 @@ fn warn_of_all(trainer: &Trainer, downscale: usize) {
     let Some((given, by)) = given() else {
         return;
     };
+    let up_to = if trainer.limits_gaussians() {
+        "up to"
+    } else {
+        "today's"
+    };
     if let Some(advice) = advice(need.total(), given, downscale) {
         say!(
-            "warning: training may take {} MiB of memory ({} for the pictures, {} for up to {most} Gaussians, {} for a view and its blur), \
+            "warning: training may take {} MiB of memory ({} for the pictures, {} for {up_to} {most} Gaussians, {} for a view and its blur), \
              and there are {} MiB ({by}): {advice}",
             mib(need.total()),
             mib(need.pictures),

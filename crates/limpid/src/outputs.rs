@@ -4,6 +4,7 @@ use crate::checkpoints;
 use crate::config::{Backend, CONFIG_FILE, Config};
 use crate::failure::{Failure, with_causes};
 use crate::log;
+use crate::numbered::Numbered;
 use crate::report::{self, Gallery};
 use crate::say::say;
 use crate::sheet;
@@ -128,11 +129,17 @@ pub(crate) fn write_renders(
     scene: Option<&Scene>,
     folder: &Path,
 ) -> Result<Gallery, Failure> {
-    let [test, train, blurred] = ["test", "train", "blurred"].map(|name| folder.join(name));
-    for made in [&test, &train, &blurred] {
-        std::fs::create_dir_all(made).map_err(|e| format!("{e}: {}", made.display()))?;
-    }
     let views = run.views();
+    let [test, train, blurred] = [
+        ("test", views.test.len()),
+        ("train", views.train.len()),
+        ("blurred", views.train.len()),
+    ]
+    .map(|(name, count)| Numbered::new(folder.join(name), ("", "png"), (5, count)));
+    // Those of an earlier time may be more, or of another run.
+    for pictures in [&test, &train, &blurred] {
+        pictures.clear()?;
+    }
     // Training looked at it before; here what is not whole is only not shown.
     let truth = scene.and_then(|scene| scene.truth().ok());
     let truth = truth.unwrap_or_default();
@@ -141,8 +148,8 @@ pub(crate) fn write_renders(
     let mut rows = Vec::new();
     for index in 0..views.train.len() {
         let view = run.render_training_view(index)?;
-        io::write_png(&train.join(format!("{index:05}.png")), &view.sharp)?;
-        io::write_png(&blurred.join(format!("{index:05}.png")), &view.seen)?;
+        io::write_png(&train.path(index), &view.sharp)?;
+        io::write_png(&blurred.path(index), &view.seen)?;
         let blurry = scene.and_then(|scene| Some(&scene.frames.get(index)?.view.image));
         let sharp = truth.sharp.as_ref().and_then(|sharp| sharp.get(index));
         gallery.add_frame(blurry, &view, sharp);
@@ -154,14 +161,17 @@ pub(crate) fn write_renders(
     }
     for (index, view) in views.test.iter().enumerate() {
         let image = run.render_view(&view.camera, &view.cam_from_world, view.time)?;
-        io::write_png(&test.join(format!("{index:05}.png")), &image)?;
+        io::write_png(&test.path(index), &image)?;
         // The scene may have other test views than when the run began.
         let same = |other: &&io::View| other.name == view.name;
         let taken = scene.and_then(|scene| scene.test.iter().find(same));
         gallery.add_test(&image, taken.map(|view| &view.image));
     }
+    let sheet_file = folder.join("blur.png");
     if let Some(sheet) = sheet::stack(&rows) {
-        io::write_png(&folder.join("blur.png"), &sheet)?;
+        io::write_png(&sheet_file, &sheet)?;
+    } else if sheet_file.exists() {
+        std::fs::remove_file(&sheet_file).map_err(|e| format!("{e}: {}", sheet_file.display()))?;
     }
     Ok(gallery)
 }

@@ -33,7 +33,7 @@ impl Stop {
     pub(crate) fn listen() -> Result<Self, Failure> {
         let stop = Self::default();
         let heard = stop.clone();
-        ctrlc::set_handler(move || match heard.hear() {
+        signals::on_end(move || match heard.hear() {
             Answer::Noted => {}
             Answer::Told(why) => say!("{why}"),
             Answer::End => exit(INTERRUPTED.into()),

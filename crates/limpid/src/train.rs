@@ -32,7 +32,7 @@ struct Started {
     checkpoints: Checkpoints,
     /// Where the run is trained in several lengths.
     lengths: Option<Lengths>,
-    _lock: Lock,
+    lock: Lock,
 }
 
 pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
@@ -55,6 +55,10 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     let ended = started.train(&save, watch);
     ended.map_err(|error| {
         let error = with_causes(&*error);
+        if !started.lock.holds() {
+            // What is there now is another run's.
+            return error.into();
+        }
         format!("{error}; {}", started.checkpoints.account()).into()
     })
 }
@@ -73,7 +77,13 @@ impl Started {
         };
         loop {
             self.iterate(&stop, save, watch.as_mut())?;
-            if stop.is_asked() || !self.trainer.is_done() || !self.begins_again()? {
+            if stop.is_asked() || !self.trainer.is_done() {
+                break;
+            }
+            stop.unsaved();
+            let again = self.begins_again()?;
+            stop.saved();
+            if !again {
                 break;
             }
         }
@@ -151,6 +161,7 @@ impl Started {
             config,
             trainer,
             checkpoints,
+            lock,
             ..
         } = self;
         stop.unsaved();
@@ -167,8 +178,12 @@ impl Started {
                     progress.finish();
                     // Where the renderer refuses a parameter, the state is no good any more: the checkpoint on disk stays.
                     let is_whole = matches!(error, TrainError::NotFinite { .. });
-                    if is_whole && let Err(problem) = checkpoints.save(trainer) {
-                        conclude!("the checkpoint cannot be saved: {}", with_causes(&*problem));
+                    if is_whole {
+                        let saved =
+                            restore(out, config, lock).and_then(|()| checkpoints.save(trainer));
+                        if let Err(problem) = saved {
+                            conclude!("the checkpoint cannot be saved: {}", with_causes(&*problem));
+                        }
                     }
                     return Err(error.into());
                 }
@@ -183,14 +198,11 @@ impl Started {
             }
             let asked = save.take();
             if !trainer.is_done() && (asked || checkpoints.is_due(report.iteration)) {
-                if let Err(problem) = restore(out, config) {
-                    say!("warning: {}", with_causes(&*problem));
-                }
-                checkpoints.save_on_the_way(trainer);
+                checkpoints.save_on_the_way(trainer, || restore(out, config, lock));
             }
         }
         progress.finish();
-        restore(out, config)?;
+        restore(out, config, lock)?;
         checkpoints.save(trainer)?;
         stop.saved();
         Ok(())
@@ -198,9 +210,22 @@ impl Started {
 }
 
 /// Makes a run's folder anew where it was removed, or moved away, while it trained: without its configuration nothing could go on
-/// with what is written there.
-fn restore(out: &Path, config: &Config) -> Result<(), Failure> {
+/// with what is written there. An error where another run has taken its place.
+fn restore(out: &Path, config: &Config, lock: &mut Lock) -> Result<(), Failure> {
     let file = out.join(CONFIG_FILE);
+    if !lock.holds() {
+        std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()))?;
+        let gone = "this run's own folder was moved, or removed, and with it its checkpoint, from which --resume goes on";
+        let taken = Lock::of(out).map_err(|e| format!("{e}; {gone}"))?;
+        if file.exists() {
+            return Err(format!(
+                "{} is another run's by now, and nothing is written there; {gone}",
+                out.display()
+            )
+            .into());
+        }
+        *lock = taken;
+    }
     if file.exists() {
         return Ok(());
     }
@@ -208,7 +233,6 @@ fn restore(out: &Path, config: &Config) -> Result<(), Failure> {
         "warning: {} is gone: it is written again, in a folder made anew if need be; what else was removed, such as the log, is lost",
         file.display()
     );
-    std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()))?;
     Ok(io::write_json(&file, config)?)
 }
 
@@ -240,7 +264,7 @@ fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
     for note in &scene.notes {
         say!("note: {note}");
     }
-    check::before_training(&scene, asked.unchecked)?;
+    check::before_training(&scene, &config.settings, asked.unchecked)?;
     let settings = config.settings.clone();
     let mut trainer = during("fitting motion and placing Gaussians", || {
         Trainer::new(scene, settings, &device)
@@ -273,7 +297,7 @@ fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
         config,
         trainer,
         lengths,
-        _lock: lock,
+        lock,
     })
 }
 
@@ -281,7 +305,7 @@ fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
 fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
     let mut table = Table::new();
     for profile in differences(&asked.defaults(), &Settings::default()) {
-        config::insert(&mut table, &profile.setting, Value::try_from(profile.here)?)?;
+        config::insert(&mut table, &profile.setting, Value::try_from(profile.here)?);
     }
     config::merge(&mut table, asked.table()?);
     let scene = table.get("scene").and_then(Value::as_str).map(Path::new);
@@ -295,6 +319,12 @@ fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
 
     let mut run = checkpoints::open(&out, &config)?;
     let edited = differences(&found.settings, run.settings());
+    let trained = run.settings().iterations;
+    if asked.iterations.is_none() && config.settings.iterations < trained {
+        // It ended on its way back to a shorter length (`--until-done`), whose checkpoint was not there yet.
+        say!("note: the checkpoint is that of a run of {trained} iterations, and is gone on with");
+        config.settings.iterations = trained;
+    }
     let changed = run.change(config.settings.clone(), asked.allow_change);
     let changes = changed.map_err(|error| -> Failure {
         match &error {
@@ -333,7 +363,7 @@ fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
         trainer,
         checkpoints,
         lengths: None,
-        _lock: lock,
+        lock,
     })
 }
 

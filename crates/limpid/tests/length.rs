@@ -145,6 +145,16 @@ fn a_length_that_was_killed_is_finished_and_not_the_one_before_made_longer()
     assert!(resumed.status.success(), "{said}");
     assert!(said.contains(" of 760"), "{said}");
     assert!(!said.contains("in the place of"), "made longer: {said}");
+
+    // As where it ends on its way back to a shorter length, of which the checkpoint is written last.
+    let config = fs::read_to_string(out.join("config.json"))?;
+    let shorter = config.replace("\"iterations\": 760", "\"iterations\": 750");
+    assert_ne!(config, shorter);
+    fs::write(out.join("config.json"), shorter)?;
+    let resumed = command(&out, &["--resume"]).output()?;
+    let said = String::from_utf8_lossy(&resumed.stderr).into_owned();
+    assert!(resumed.status.success(), "{said}");
+    assert_eq!(length(&out)?, 760, "{said}");
     assert_repeats(&out)
 }
 

@@ -30,6 +30,8 @@
     allow(deprecated, reason = "kept as a second, independent CPU backend")
 )]
 mod backends;
+#[cfg(feature = "cube")]
+pub use backends::cube::LARGEST_TABLE;
 mod camera;
 pub mod cpu;
 #[cfg(feature = "cube")]

@@ -253,7 +253,7 @@ mod runtimes {
             name: properties.identity.name.clone(),
             runtime,
             is_software: properties.identity.physical.is_none(),
-            largest_buffer: memory.max_page_size,
+            largest_buffer: memory.max_page_size.min(splat_core::LARGEST_TABLE),
             memory: memory.max_memory(),
             buffers: hardware.max_bindings,
             shared_memory: hardware.max_shared_memory_size,

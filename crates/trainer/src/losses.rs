@@ -15,7 +15,12 @@ pub(crate) fn mean<const D: usize>(tensor: Tensor<D>) -> Tensor<1> {
     let shape = tensor.dims();
     let count: usize = shape.iter().product();
     let rows = tensor.reshape([shape[0], count / shape[0].max(1)]);
-    rows.sum_dim(1).sum().div_scalar(count as f64)
+    sum(rows).div_scalar(count as f64)
+}
+
+/// Sum of all entries [R, C], in the same order.
+fn sum(tensor: Tensor<2>) -> Tensor<1> {
+    tensor.sum_dim(1).sum()
 }
 
 /// The image loss of 3D Gaussian Splatting: `(1 - beta) L1 + beta (1 - SSIM)`, with `beta` 0.2 by default.
@@ -131,7 +136,7 @@ pub fn depth_loss(
     // Pixels that do not count get the floor's disparity and a weight of zero.
     let nearest = NEAREST * scene_size;
     let rendered = (depth * per_alpha).clamp_min(nearest).recip() * scene_size;
-    ((rendered - wanted).abs() * weight).sum()
+    sum((rendered - wanted).abs() * weight)
 }
 
 /// Differences of disparity (times S) that count in [`depth_shift_loss`]: larger ones are of depth edges.
@@ -163,8 +168,8 @@ pub fn depth_shift_loss(
     let counts = counted * alpha.clone().greater_elem(0.5).float().cast(dtype);
     let rendered = (depth / alpha.clamp_min(0.5)).clamp_min(NEAREST * scene_size);
     let difference = rendered.recip().mul_scalar(scene_size) - points;
-    let sum = (difference.clamp(-SHIFT_RANGE, SHIFT_RANGE) * counts.clone()).sum();
-    (sum / counts.sum().clamp_min(1.0)).square()
+    let total = sum(difference.clamp(-SHIFT_RANGE, SHIFT_RANGE) * counts.clone());
+    (total / sum(counts).clamp_min(1.0)).square()
 }
 
 /// What [`depth_shift_loss`] compares with: the disparity of points at a z-depth, times the scene size S; 0 where there is none.
@@ -213,7 +218,7 @@ pub fn mask_loss(
         valid,
         band,
     ));
-    ((rendered - target).abs() * weight).sum()
+    sum((rendered - target).abs() * weight)
 }
 
 #[cfg(test)]

@@ -49,6 +49,12 @@ impl Trainer {
         }
     }
 
+    /// Whether there is a most of Gaussians (`gaussians.max_per_pixel`).
+    #[must_use]
+    pub fn limits_gaussians(&self) -> bool {
+        self.run.plan.max_gaussians() < usize::MAX
+    }
+
     /// The largest table that training makes on a GPU, about; see [`Gpu::largest_table`].
     #[must_use]
     pub fn largest_table(&self) -> Table {

@@ -25,15 +25,17 @@ impl Trainer {
     /// Changes the set of Gaussians at the end of iteration `it`.
     pub(crate) fn change_gaussians(&mut self, it: usize) {
         let _span = trace_span!("density control").entered();
-        let schedule = &self.run.plan.schedule;
-        if schedule.densify_dynamic_at == Some(it) {
-            self.densify_dynamic();
-        }
+        let densifies = self.run.plan.schedule.densify_dynamic_at == Some(it);
         let Run { plan, state, .. } = &mut self.run;
         if plan.schedule.controls_density(it) {
             let reserved = reserved(plan, &self.data.scene, it);
             state.control_density(plan, reserved, it);
         }
+        // Behind density control, whose statistics begin anew by it.
+        if densifies {
+            self.densify_dynamic();
+        }
+        let Run { plan, state, .. } = &mut self.run;
         if plan.schedule.resets_opacity(it) {
             let world = &mut state.model.world;
             world.opacity_logits = reset_opacity(&world.opacity_logits, RESET_OPACITY);
@@ -85,7 +87,7 @@ impl Trainer {
 
 /// Room that density control leaves at iteration `it` for the dynamic densification to come.
 fn reserved(plan: &Plan, scene: &Scene, it: usize) -> usize {
-    let is_to_come = plan.schedule.densify_dynamic_at.is_some_and(|at| it < at);
+    let is_to_come = plan.schedule.densify_dynamic_at.is_some_and(|at| it <= at);
     if is_to_come {
         scene.frames.len() * densify_share(scene, &plan.settings)
     } else {

@@ -267,6 +267,34 @@ fn dynamic_densification_finds_room_under_the_limit() {
     );
 }
 
+/// Density control acts by what it has gathered, which begins anew where movers are added.
+#[test]
+fn movers_that_come_with_density_control_take_nothing_from_it() {
+    let mut settings = settings();
+    settings.blur.model = BlurKind::Off;
+    settings.gaussians.gradient_threshold = 1e-12;
+    settings.motion.densify_at = 10_000;
+    let mut trainer = Trainer::new(scene(), settings, &Device::flex()).expect("a trainer");
+    let moment = 50;
+    assert_eq!(trainer.schedule().densify_dynamic_at, Some(moment));
+    assert!(trainer.schedule().controls_density(moment));
+    for _ in 1..moment {
+        trainer.step().expect("a step");
+    }
+    let counts = |trainer: &Trainer| {
+        let model = trainer.model();
+        let dynamic = model.num_dynamic();
+        [dynamic, model.num_gaussians() - dynamic]
+    };
+    let before = counts(&trainer);
+    trainer.step().expect("a step");
+    let after = counts(&trainer);
+    assert!(
+        after[0] > before[0] && after[1] > before[1],
+        "{before:?}, then {after:?}"
+    );
+}
+
 /// Warping blurs a frame once more, which kernels explain and nothing else does.
 #[test]
 fn unseen_views_stand_beside_kernels_alone_where_nothing_is_said() {

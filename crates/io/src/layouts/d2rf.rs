@@ -48,14 +48,15 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
 
     let preprocessed = root.join("flow3d_preprocessed");
     let depth_at = preprocessed.join("aligned_depth_anything_colmap");
-    let depth = list_optional(&depth_at, &["npy"])?.files;
+    let lefts: Vec<_> = instants.iter().map(|[left, _]| left.clone()).collect();
+    let depth = list_optional(&depth_at, &["npy"])?.named_as(&lefts, &depth_at)?;
     if depth.is_empty() && root.join("dpt").is_dir() {
         notes.push(
             "dpt/ is not read: its disparity is relative, and nothing says by which scale and shift".into(),
         );
     }
     let masks_at = root.join("motion_masks");
-    let masks = list_masks(&masks_at, options)?.files;
+    let masks = list_masks(&masks_at, options)?.named_as(&lefts, &masks_at)?;
     let mut frames = Vec::with_capacity(instants.len());
     for (i, [left, _]) in instants.iter().enumerate() {
         let image = images.files[left].clone();

@@ -47,7 +47,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     }
 
     let depth_at = root.join("align_uni_depth_noclip");
-    let depth = list_optional(&depth_at, &["npy"])?.files;
+    let depth = list_optional(&depth_at, &["npy"])?.named_as(&stems, &depth_at)?;
     if depth.is_empty() && root.join("disp").is_dir() {
         notes.push(
             "disp/ is not read: its disparity is relative, and nothing says by which scale and shift".into(),
@@ -56,7 +56,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
     let masks = ["motion_masks_manual", "motion_masks"].map(|name| root.join(name));
     let masks_at = masks.iter().find(|folder| folder.is_dir());
     let masks_at = masks_at.unwrap_or(&masks[1]).clone();
-    let masks = list_masks(&masks_at, options)?.files;
+    let masks = list_masks(&masks_at, options)?.named_as(&stems, &masks_at)?;
 
     let mut frames = Vec::with_capacity(stems.len());
     for (i, name) in stems.iter().enumerate() {

@@ -110,9 +110,9 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
         ),
     };
     notes.push(note.to_owned());
-    let depth = list_optional(&depth_at, &["npy"])?.files;
+    let depth = list_optional(&depth_at, &["npy"])?.named_as(&stems, &depth_at)?;
     let masks_at = preprocessed.join("track_anything").join(&size);
-    let masks = list_masks(&masks_at, options)?.files;
+    let masks = list_masks(&masks_at, options)?.named_as(&stems, &masks_at)?;
 
     let view = |name: &str, time: f32| -> Result<PlannedView, IoError> {
         let image = root.join("rgb").join(&size).join(format!("{name}.png"));

@@ -70,7 +70,7 @@ fn plan(root: &Path, options: &LoadOptions) -> Result<Plan, IoError> {
 
     let names: Vec<_> = (0..count).map(|i| format!("{i:05}")).collect();
     let masks_at = root.join("masks");
-    let masks = list_masks(&masks_at, options)?.files;
+    let masks = list_masks(&masks_at, options)?.named_as(&names, &masks_at)?;
     let pixels = width * height;
     let parts = images.values.chunks_exact(3 * pixels);
     let parts = parts.zip(depths.values.chunks_exact(pixels));

@@ -117,6 +117,15 @@ fn masks_and_tracks_lie_beside_it_under_the_frames_numbers() {
     assert_eq!(scene.layout, "MegaSaM");
     assert_eq!(scene.tracks.unwrap().num_tracks(), FRAMES);
     assert!(scene.frames.iter().all(|f| f.mask.is_some()));
+
+    // Masks that are all named otherwise are no absence of masks.
+    for query in 0..FRAMES {
+        let masks = folder.path().join("masks");
+        let to = masks.join(format!("{query:04}.png"));
+        fs::rename(masks.join(format!("{query:05}.png")), to).unwrap();
+    }
+    let said = Scene::open(folder.path()).unwrap_err().to_string();
+    assert!(said.contains("00000, not 0000"), "{said}");
 }
 
 #[test]

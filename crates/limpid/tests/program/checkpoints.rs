@@ -1,8 +1,9 @@
 //! Checkpoints, and a folder that is taken away: what is left of a run that something ended or got in the way of.
 
-use super::{Outcome, output, path, refusal, start, text, wait_for};
+use super::{Outcome, output, path, refusal, start, started, text, wait_for};
 use std::fs;
 use std::io::BufRead as _;
+use std::path::Path;
 use std::process::{Child, Command};
 use std::time::Duration;
 
@@ -184,17 +185,70 @@ fn a_checkpoint_that_cannot_be_written_is_a_warning_until_the_end() -> Outcome {
     Ok(())
 }
 
+/// Waits until a run has a line in its log: from then on it trains, and writes to what is open.
+fn wait_for_a_line(out: &Path, run: &mut Child) -> Outcome {
+    let log = out.join("metrics.jsonl");
+    wait_for(&log)?;
+    while fs::metadata(&log)?.len() == 0 && run.try_wait()?.is_none() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    Ok(())
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_that_is_to_outlive_its_terminal_does() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    // The first as by `nohup`; of SIGHUP it is not known whether these tests ignore it themselves.
+    for (trap, signal, code) in [("trap '' HUP; ", "-HUP", 0), ("", "-TERM", 130)] {
+        let out = folder.path().join(format!("run_{code}"));
+        let line = format!("{trap}exec \"$0\" \"$@\"");
+        let mut command = Command::new("sh");
+        command
+            .args(["-c", &line])
+            .arg(env!("CARGO_BIN_EXE_limpid"));
+        let (mut run, lines) = started(&mut command, &out, &[])?;
+        wait_for_a_line(&out, &mut run)?;
+        let mut kill = Command::new("kill");
+        kill.args([signal, &run.id().to_string()]);
+        assert!(kill.status()?.success(), "the signal was sent");
+        let said = lines.lines().collect::<Result<Vec<_>, _>>()?;
+        assert_eq!(run.wait()?.code(), Some(code), "{said:?}");
+        assert!(out.join("checkpoint/state.safetensors").exists());
+    }
+    Ok(())
+}
+
+/// Windows moves no folder in which a file is open.
+#[cfg(unix)]
+#[test]
+fn a_folder_that_is_moved_away_is_not_looked_for_in_the_run_that_took_its_place() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let [out, moved] = ["run", "moved"].map(|name| folder.path().join(name));
+    let (mut first, lines) = start(&out, &[])?;
+    wait_for_a_line(&out, &mut first)?;
+    fs::rename(&out, &moved)?;
+    fs::create_dir(&out)?;
+    fs::write(out.join("config.json"), "another run's")?;
+    let said = lines.lines().collect::<Result<Vec<_>, _>>()?.concat();
+    assert_eq!(first.wait()?.code(), Some(1), "{said}");
+    assert!(said.contains("is another run's by now"), "{said}");
+    assert!(!said.contains("the last checkpoint is"), "{said}");
+    assert_eq!(
+        fs::read_to_string(out.join("config.json"))?,
+        "another run's"
+    );
+    assert!(!out.join("checkpoint").exists() && !out.join("metrics.json").exists());
+    assert!(moved.join("config.json").exists());
+    Ok(())
+}
+
 #[test]
 fn a_folder_that_is_removed_while_a_run_trains_is_made_anew_with_a_word() -> Outcome {
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("run");
     let (mut run, lines) = start(&out, &[])?;
-    let log = out.join("metrics.jsonl");
-    wait_for(&log)?;
-    // Not before it has a line: from then on it trains, and writes to what is open.
-    while fs::metadata(&log)?.len() == 0 && run.try_wait()?.is_none() {
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    wait_for_a_line(&out, &mut run)?;
     fs::remove_dir_all(&out)?;
     let said = lines.lines().collect::<Result<Vec<_>, _>>()?.concat();
     assert!(run.wait()?.success(), "{said}");

@@ -36,6 +36,15 @@ fn path(path: &Path) -> &str {
 
 /// The demo at 32x18 into a folder, the shortest run there is, with its standard error to be read.
 fn start(out: &Path, more: &[&str]) -> Result<(Child, BufReader<ChildStderr>), Box<dyn Error>> {
+    started(&mut limpid(&[]), out, more)
+}
+
+/// The same, by a command that takes the program's arguments.
+fn started(
+    command: &mut Command,
+    out: &Path,
+    more: &[&str],
+) -> Result<(Child, BufReader<ChildStderr>), Box<dyn Error>> {
     let short = [
         "--downscale",
         "5",
@@ -46,7 +55,7 @@ fn start(out: &Path, more: &[&str]) -> Result<(Child, BufReader<ChildStderr>), B
         "--set",
         "motion.first_fit_steps=40",
     ];
-    let mut command = limpid(&["train", "--scene", DEMO, "--out", path(out)]);
+    command.args(["train", "--scene", DEMO, "--out", path(out)]);
     command.args(short).args(more).stderr(Stdio::piped());
     let mut child = command.spawn()?;
     let lines = BufReader::new(child.stderr.take().ok_or("it is piped")?);
@@ -123,10 +132,28 @@ fn a_run_needs_no_reader_has_its_folder_to_itself_and_can_be_asked_for_scores() 
     for file in leftovers.iter().chain(&others) {
         fs::write(file, "half")?;
     }
+    // Nor does a picture of another time stay among its own.
+    let older = out.join("renders/test/00099.png");
+    fs::write(&older, "older")?;
     let resumed = output(&["train", "--resume", "--out", path(&out)])?;
     assert!(resumed.status.success(), "{}", text(&resumed.stderr));
+    assert!(!older.exists() && out.join("renders/test/00000.png").exists());
     assert!(leftovers.iter().all(|file| !file.exists()), "removed");
     assert!(others.iter().all(|file| file.exists()), "not ours");
+
+    // A profile's defaults count for nothing beside a file that has all settings.
+    let config_file = out.join("config.json");
+    let both = [
+        "train",
+        "--config",
+        path(&config_file),
+        "--profile",
+        "paper",
+        "--dry-run",
+    ];
+    let refused = output(&both)?;
+    assert!(!refused.status.success(), "{}", text(&refused.stdout));
+    assert!(text(&refused.stderr).contains("--profile"));
 
     // What a run was trained with is in its checkpoint; a file that says something else is no account of it.
     let config = fs::read_to_string(out.join("config.json"))?;

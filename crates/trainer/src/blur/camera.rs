@@ -269,7 +269,7 @@ impl CameraBlur {
             path_px: settings.spacing_px,
             disc_px: settings.lens_spacing_px,
         };
-        samples_for(blur, spacing, limit).max(LEAST_SAMPLES)
+        samples_for(blur, spacing, limit).max(LEAST_SAMPLES.min(limit))
     }
 
     /// See [`super::BlurModel::taken`].

@@ -226,8 +226,9 @@ impl Kernels {
         let (it, blur) = (look.iteration, &trace.composite);
         if it > self.moments.downsample_from && !view.is_unseen {
             terms.add("downsample", self.weights.downsample, || {
-                let target = view.target(&rendered.color());
-                losses::downsample_loss(rendered.color(), target, 4)
+                let sharp = look.gained(rendered.color());
+                let target = view.target(&sharp);
+                losses::downsample_loss(sharp, target, 4)
             });
         }
         if it <= self.moments.step_from {

@@ -9,6 +9,7 @@ use crate::statistics::median;
 use crate::views::{pixel_index, seen_at};
 use glam::{DAffine3, DVec3};
 use io::Scene;
+use splat_core::Camera;
 
 /// About so many pixels of a picture are looked up in another.
 const LOOKED_UP: usize = 4000;
@@ -18,7 +19,7 @@ const PAIRS: usize = 48;
 const FEW_PAIRS: usize = 6;
 /// Of so many pixels one is enough for a frame's median depth.
 const SPARSE: usize = 17;
-/// Pairs that share fewer pixels than this share of what was looked up say nothing.
+/// Pairs that share fewer pixels than this share of those with depth say nothing.
 const LEAST_SHARED: f64 = 0.1;
 /// Frames that are moved to where they differ more, by this factor, than unmoved ones are moved by no rule at all.
 const NOT_AT_ALL: f64 = 2.0;
@@ -64,8 +65,9 @@ pub(super) struct WarpFit {
 pub(super) struct ColorFit {
     /// Share of the points that some frame has in its picture.
     pub(super) seen: f64,
-    /// Median difference of colours, as a share of that between points and other points' places.
-    pub(super) ratio: f64,
+    /// Median difference of colours, as a share of that between points and other points' places; `None` where points have one
+    /// colour all, which tells nothing, and 1 where no frame sees any.
+    pub(super) ratio: Option<f64>,
 }
 
 /// What a reading makes of a scene.
@@ -87,7 +89,7 @@ impl Fit {
         let measures = [
             self.points.as_ref().map(PointFit::disagreement),
             self.warp.as_ref().map(|w| w.ratio.min(NOT_AT_ALL)),
-            self.colors.as_ref().map(|c| c.ratio.min(1.0)),
+            self.colors.as_ref().and_then(|c| Some(c.ratio?.min(1.0))),
         ];
         let known: Vec<f64> = measures.into_iter().flatten().collect();
         (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
@@ -123,11 +125,17 @@ fn has_depth(scene: &Scene) -> bool {
 }
 
 /// What each reading makes of a scene, whose masks say that such a share of it moves; as given first. Where that is most of the
-/// pictures, the rest is what moves.
+/// pictures, the rest is what moves, unless pictures differ more where the masks are.
 pub(super) fn fits(scene: &Scene, moving_share: Option<f64>) -> Vec<Fit> {
     let has_depth = has_depth(scene);
-    let inverse_masks = moving_share.is_some_and(|share| share > MOST);
     let free_scale = has_depth && scene.points.len() < MIN_POINTS;
+    let moves_on_masks = || {
+        let as_given = readings(scene.layout, false, free_scale).into_iter().next();
+        let warp = as_given.and_then(|reading| fit(scene, reading).warp);
+        warp.and_then(|warp| warp.moving)
+            .is_some_and(|moving| moving > 1.0)
+    };
+    let inverse_masks = moving_share.is_some_and(|share| share > MOST) && !moves_on_masks();
     let mut readings = readings(scene.layout, inverse_masks, free_scale);
     if !has_depth {
         readings.retain(|r| !r.inverse_depth);
@@ -254,6 +262,10 @@ fn fit_colors(scene: &Scene, reading: &Reading) -> Option<ColorFit> {
     }
     let mut seen = vec![false; points.len()];
     let (mut own, mut others) = (Vec::new(), Vec::new());
+    let mut colors = points.iter().map(|point| point.color);
+    let is_plain = colors
+        .next()
+        .is_none_or(|first| colors.all(|color| color == first));
     for frame in &scene.frames {
         let pose = reading.pose(frame);
         let camera = &frame.view.camera;
@@ -275,16 +287,11 @@ fn fit_colors(scene: &Scene, reading: &Reading) -> Option<ColorFit> {
         }
     }
     let share = seen.iter().filter(|s| **s).count() as f64 / points.len() as f64;
-    // Points that are seen nowhere, or that have one colour all, tell nothing of colours.
-    let by_chance = if others.is_empty() {
-        0.0
+    let ratio = if others.is_empty() {
+        Some(1.0)
     } else {
-        median(&others)
-    };
-    let ratio = if by_chance > 0.01 {
-        median(&own) / by_chance
-    } else {
-        1.0
+        let by_chance = median(&others);
+        (!is_plain && by_chance > 0.01).then(|| median(&own) / by_chance)
     };
     Some(ColorFit { seen: share, ratio })
 }
@@ -308,7 +315,8 @@ fn fit_warp(scene: &Scene, fit: &Fit, most_pairs: usize) -> Option<WarpFit> {
             sums.add(&moved);
         }
     }
-    if count == 0 && has_depth(scene) && scene.frames.len() > 1 {
+    let mut sources = pairs(scene.frames.len(), most_pairs).into_iter();
+    if count == 0 && sources.any(|(a, _)| num_known(scene, fit, a) >= MIN_POINTS) {
         return Some(WarpFit {
             pairs: 0,
             ratio: NOT_AT_ALL,
@@ -360,6 +368,19 @@ fn mean([count, sum]: [f64; 2]) -> f64 {
     sum / count
 }
 
+/// Of every so manieth row and column pixels are looked up.
+fn step(camera: &Camera) -> usize {
+    camera.num_pixels().div_ceil(LOOKED_UP).isqrt().max(1)
+}
+
+/// How many of a frame's pixels that are looked up have depth.
+fn num_known(scene: &Scene, fit: &Fit, frame: usize) -> usize {
+    let camera = &scene.frames[frame].view.camera;
+    // Itself it sees whole, but for what has no depth.
+    let depth = |i: usize| fit.depth(scene, frame, i);
+    seen_in(camera, depth, camera, DAffine3::IDENTITY, step(camera)).count()
+}
+
 /// Moves a frame to another by depth and pose, and adds how far pixels go, px, to `shifts`; `None` where the other has hardly
 /// anything of it in its picture.
 pub(super) fn moved(
@@ -370,13 +391,12 @@ pub(super) fn moved(
     shifts: &mut Vec<f64>,
 ) -> Option<Moved> {
     let (from, to) = (&scene.frames[a], &scene.frames[b]);
-    let pixels = from.view.camera.num_pixels();
-    let step = pixels.div_ceil(LOOKED_UP).isqrt().max(1);
+    let step = step(&from.view.camera);
     let other_from_camera = fit.pose(scene, b) * fit.pose(scene, a).inverse();
     let depth = |i: usize| fit.depth(scene, a, i);
     let (camera, other) = (&from.view.camera, &to.view.camera);
     let seen: Vec<_> = seen_in(camera, depth, other, other_from_camera, step).collect();
-    if (seen.len() * step * step) as f64 <= LEAST_SHARED * pixels as f64 {
+    if seen.len() as f64 <= LEAST_SHARED * num_known(scene, fit, a) as f64 {
         return None;
     }
     let mut sums = Moved::default();

@@ -61,20 +61,30 @@ fn warp(fits: &[Fit]) -> Option<Finding> {
 
 fn points(fits: &[Fit]) -> Option<Finding> {
     let given = fits.first()?.colors.as_ref()?;
+    let ratio_of = |fit: &Fit| fit.colors.as_ref().and_then(|colors| colors.ratio);
     let mut text = format!(
-        "{:.0} % of the sparse points are in some picture, and their colours differ from it by {:.0} % of what chance would do",
-        100.0 * given.seen,
-        100.0 * given.ratio
+        "{:.0} % of the sparse points are in some picture",
+        100.0 * given.seen
     );
+    text += &match given.ratio {
+        Some(ratio) => format!(
+            ", and their colours differ from it by {:.0} % of what chance would do",
+            100.0 * ratio
+        ),
+        None => ", and their colours, which are all alike, tell nothing".to_owned(),
+    };
     let proposed = proposal(fits);
-    let verdict = match &proposed {
-        Some((name, best)) if best.colors.as_ref().is_some_and(|c| c.ratio < given.ratio) => {
-            let found = best.colors.as_ref().map_or(1.0, |c| c.ratio);
-            text += &format!("; with {name} it is {:.0} %", 100.0 * found);
-            Verdict::Wrong
-        }
-        _ if given.seen < SEEN || given.ratio > GOOD => Verdict::Doubtful,
-        _ => Verdict::Pass,
+    let better = proposed.as_ref().and_then(|(name, best)| {
+        let found = ratio_of(best)?;
+        (found < given.ratio?).then_some((name, found))
+    });
+    let verdict = if let Some((name, found)) = better {
+        text += &format!("; with {name} it is {:.0} %", 100.0 * found);
+        Verdict::Wrong
+    } else if given.seen < SEEN || given.ratio.is_some_and(|ratio| ratio > GOOD) {
+        Verdict::Doubtful
+    } else {
+        Verdict::Pass
     };
     Some(Finding {
         what: "poses and sparse points",

@@ -1,7 +1,8 @@
 //! How depth, poses and masks may have been meant.
 
 use glam::{DAffine3, DMat3, DVec3};
-use io::Frame;
+use io::{Frame, Map};
+use std::borrow::Cow;
 
 /// A custom of writing poses.
 #[derive(Clone, Copy, Debug)]
@@ -72,6 +73,15 @@ impl Reading {
     /// What the files' poses are, where it is not what their layout says.
     pub(super) fn poses(&self) -> Option<&'static str> {
         self.convention.name
+    }
+
+    /// What moves by a frame's mask.
+    pub(super) fn mask<'a>(&self, mask: &'a Map) -> Cow<'a, Map> {
+        if !self.inverse_masks {
+            return Cow::Borrowed(mask);
+        }
+        let values = mask.values.iter().map(|value| 1.0 - value).collect();
+        Cow::Owned(Map { values, ..*mask })
     }
 
     /// The frame's pose.

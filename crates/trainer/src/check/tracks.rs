@@ -109,7 +109,8 @@ fn still(scene: &Scene, fit: &Fit) -> Option<Finding> {
         };
         // What lies beside a mask may belong to what it shows.
         let margin = pixels_at_256(MARGIN, from.view.camera.width);
-        let near_mask = from.mask.as_ref().map(|m| dilate(m, margin, 0.02));
+        let mask = from.mask.as_ref().map(|mask| fit.reading.mask(mask));
+        let near_mask = mask.map(|m| dilate(&m, margin, 0.02));
         let moves = |pixel: usize| near_mask.as_ref().is_some_and(|m| m[pixel]);
         let world_from_query = fit.pose(scene, query.frame).inverse();
         let camera = &from.view.camera;

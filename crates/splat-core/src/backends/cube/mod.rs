@@ -25,6 +25,7 @@ use crate::ops::{
 };
 use blend::{Blend, mean_of_samples};
 use prepare::prepare;
+pub use tables::LARGEST_TABLE;
 use tables::Scene;
 pub(crate) use tables::Tables;
 use unblend::{exposure_gradients, render_gradients, unblend};

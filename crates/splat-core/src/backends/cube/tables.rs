@@ -103,9 +103,13 @@ impl Tables {
     }
 }
 
+/// As many bytes as kernels tell apart, whose places are numbers of 32 bits: larger buffers there are, on large cards.
+pub const LARGEST_TABLE: u64 = 4 * (u32::MAX as u64);
+
 /// An error if so many numbers do not go into a buffer.
 pub(super) fn fits(client: &Client, table: &'static str, length: usize) -> Result<(), SplatError> {
-    let (bytes, limit) = (4 * length as u64, client.properties().memory.max_page_size);
+    let bytes = 4 * length as u64;
+    let limit = client.properties().memory.max_page_size.min(LARGEST_TABLE);
     if bytes > limit {
         return Err(SplatError::TooLarge {
             table,

@@ -4,6 +4,7 @@ use super::CameraBlur;
 use super::softness::{SOFTNESS, softened, softened_along};
 use crate::TrainError;
 use crate::look::{Look, render_posed};
+use crate::losses::mean;
 use crate::tensors::host;
 use crate::views::ViewRef;
 use crate::world::World;
@@ -100,7 +101,7 @@ fn softened_error(seen: Tensor<3>, error: f64, view: &ViewRef<'_>) -> f64 {
 
 fn squared_error(seen: Tensor<3>, view: &ViewRef<'_>) -> f64 {
     let target = view.target(&seen);
-    f64::from(host((seen - target).square().mean())[0])
+    f64::from(host(mean((seen - target).square()))[0])
 }
 
 pub(super) fn total(errors: &[f64]) -> f64 {

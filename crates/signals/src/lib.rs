@@ -1,0 +1,53 @@
+//! What asks a program for its end: Ctrl-C, a request of the system, a terminal that closes.
+
+use std::io;
+
+/// Calls `heard`, in a thread of its own, at every Ctrl-C (SIGINT), SIGTERM and SIGHUP from now on, in the place of an end.
+/// A signal that whoever started the program has it ignore stays ignored: so does SIGHUP under `nohup`, and SIGINT in a job that a
+/// script leaves in the background. What is ignored is known on Linux alone.
+///
+/// # Errors
+/// The system does not let the program listen.
+#[cfg(unix)]
+pub fn on_end(heard: impl Fn() + Send + 'static) -> io::Result<()> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let signals = [SIGINT, SIGTERM, SIGHUP];
+    let listened = signals.iter().filter(|signal| !ignores(&status, **signal));
+    let mut signals = signal_hook::iterator::Signals::new(listened)?;
+    std::thread::Builder::new().spawn(move || signals.forever().for_each(|_| heard()))?;
+    Ok(())
+}
+
+/// The same where there are no such signals, by what the system has in their place.
+///
+/// # Errors
+/// The system does not let the program listen.
+#[cfg(not(unix))]
+pub fn on_end(heard: impl Fn() + Send + 'static) -> io::Result<()> {
+    ctrlc::set_handler(heard).map_err(io::Error::other)
+}
+
+/// Whether a process with such a `/proc/self/status` ignores a signal.
+#[cfg(unix)]
+fn ignores(status: &str, signal: i32) -> bool {
+    let ignored = status
+        .lines()
+        .find_map(|line| line.strip_prefix("SigIgn:"))
+        .and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    ignored.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ignored_signals_are_read_from_the_mask() {
+        let status = "Name:\tlimpid\nSigBlk:\t0000000000000002\nSigIgn:\t0000000000001001\n";
+        // Of SIGHUP, SIGINT, SIGPIPE and SIGTERM the first and the third.
+        let found = [1, 2, 13, 15].map(|signal| ignores(status, signal));
+        assert_eq!(found, [true, false, true, false]);
+        assert!(!ignores("", 1), "nothing is known");
+    }
+}
