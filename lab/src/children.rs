@@ -24,7 +24,7 @@ impl Children {
         self.stopped.store(true, Ordering::SeqCst);
         // Under the lock no process is reaped: its number is nobody else's.
         for id in self.lock().iter() {
-            interrupt(*id);
+            signals::ask_to_end(*id);
         }
     }
 
@@ -77,19 +77,6 @@ fn own_group(command: &mut Command) {
     command.process_group(0);
 }
 
-#[cfg(unix)]
-fn interrupt(id: u32) {
-    use nix::sys::signal::{Signal, kill};
-    use nix::unistd::Pid;
-    if let Ok(id) = i32::try_from(id) {
-        // Where it has ended by itself, there is nothing to do.
-        kill(Pid::from_raw(id), Signal::SIGINT).ok();
-    }
-}
-
 /// Elsewhere the console tells all programs in it.
 #[cfg(not(unix))]
 fn own_group(_: &mut Command) {}
-
-#[cfg(not(unix))]
-fn interrupt(_: u32) {}

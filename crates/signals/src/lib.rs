@@ -1,4 +1,16 @@
-//! What asks a program for its end: Ctrl-C, a request of the system, a terminal that closes.
+//! What asks programs for their end: Ctrl-C, a request of the system, a terminal that closes.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use std::sync::atomic::{AtomicBool, Ordering};
+//!
+//! let asked = Arc::new(AtomicBool::new(false));
+//! let heard = asked.clone();
+//! signals::on_end(move || heard.store(true, Ordering::Relaxed))?;
+//! // From here on the work looks at `asked`, saves what it has, and ends.
+//! assert!(!asked.load(Ordering::Relaxed));
+//! # Ok::<(), std::io::Error>(())
+//! ```
 
 use std::io;
 
@@ -27,6 +39,21 @@ pub fn on_end(heard: impl Fn() + Send + 'static) -> io::Result<()> {
 pub fn on_end(heard: impl Fn() + Send + 'static) -> io::Result<()> {
     ctrlc::set_handler(heard).map_err(io::Error::other)
 }
+
+/// Asks another process for its end, as Ctrl-C does; one that is gone is left alone.
+#[cfg(unix)]
+pub fn ask_to_end(process: u32) {
+    use nix::sys::signal::{Signal, kill};
+    use nix::unistd::Pid;
+    if let Ok(process) = i32::try_from(process) {
+        // Where it has ended by itself, there is nothing to do.
+        kill(Pid::from_raw(process), Signal::SIGINT).ok();
+    }
+}
+
+/// Nothing: here a Ctrl-C reaches all programs of a console.
+#[cfg(not(unix))]
+pub fn ask_to_end(_: u32) {}
 
 /// Whether a process with such a `/proc/self/status` ignores a signal.
 #[cfg(unix)]

@@ -11,8 +11,9 @@ fn examples() -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in fs::read_dir(crates).expect("crates/ can be read") {
         let folder = entry.expect("an entry of crates/").path();
-        // What is below the kernels shows itself on its front page, the program in the README; the last one is for tests alone.
-        let others = ["host", "limpid", "property"];
+        // What is below the kernels, or the programs, shows itself on its front page, the program in the README; the last one is
+        // for tests alone.
+        let others = ["host", "signals", "limpid", "property"];
         if others.iter().any(|name| folder.ends_with(name)) {
             continue;
         }
