@@ -79,17 +79,11 @@ impl Record {
     pub(crate) fn measured(&self) -> Option<Measured> {
         let last = self.attempts.last()?;
         let peaks = self.attempts.iter().filter_map(|a| a.peak_mib);
+        let sum = |of: fn(&Attempt) -> Option<f64>| self.attempts.iter().map(of).sum();
+        let [cpu, wall]: [Option<f64>; 2] = [sum(|a| a.cpu_seconds), sum(|a| a.wall_seconds)];
         Some(Measured {
-            cpu_seconds: self
-                .attempts
-                .iter()
-                .map(|a| a.cpu_seconds)
-                .sum::<Option<_>>()?,
-            wall_seconds: self
-                .attempts
-                .iter()
-                .map(|a| a.wall_seconds)
-                .sum::<Option<_>>()?,
+            cpu_seconds: cpu?,
+            wall_seconds: wall?,
             peak_mib: last.peak_mib.map(|last| peaks.fold(last, f64::max)),
         })
     }

@@ -73,6 +73,7 @@ impl Origin {
     /// The program, as far as its commit tells, or its bytes where it is of none.
     pub(crate) fn program(&self) -> String {
         let Self { version, .. } = self;
+        let names_commit = version.contains("(commit ") && !version.contains("(commit unknown");
         match (&self.commit, &self.fingerprint) {
             (Some(commit), Some(bytes)) if self.changed => {
                 format!("{version}, commit `{commit}` with changes on top (`{bytes}`)")
@@ -81,7 +82,7 @@ impl Origin {
                 format!("{version}, commit `{commit}` with changes on top")
             }
             // Where a version names the commit that last changed the program, later ones are of words.
-            (Some(commit), _) if !version.contains("(commit ") => {
+            (Some(commit), _) if !names_commit => {
                 format!("{version}, commit `{commit}`")
             }
             _ => version.clone(),

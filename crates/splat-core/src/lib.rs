@@ -30,8 +30,6 @@
     allow(deprecated, reason = "kept as a second, independent CPU backend")
 )]
 mod backends;
-#[cfg(feature = "cube")]
-pub use backends::cube::LARGEST_TABLE;
 mod camera;
 pub mod cpu;
 #[cfg(feature = "cube")]
@@ -52,6 +50,8 @@ mod render;
 mod splats;
 mod stages;
 
+#[cfg(feature = "cube")]
+pub use backends::cube::LARGEST_TABLE;
 pub use camera::{Camera, CameraModel, camera_center, pose_rows};
 /// How pictures stand for light.
 pub use cpu::Transfer;
