@@ -14,9 +14,8 @@
 
 use std::io;
 
-/// Calls `heard`, in a thread of its own, at every Ctrl-C (SIGINT), SIGTERM and SIGHUP from now on, in the place of an end.
-/// A signal that whoever started the program has it ignore stays ignored: so does SIGHUP under `nohup`, and SIGINT in a job that a
-/// script leaves in the background. What is ignored is known on Linux alone.
+/// Calls `heard`, in a thread of its own, at every Ctrl-C (SIGINT), SIGTERM and SIGHUP from now on, in the place of an end. But
+/// SIGHUP stays ignored where whoever started the program has it ignored, as `nohup` does; that is known on Linux alone.
 ///
 /// # Errors
 /// The system does not let the program listen.
@@ -24,9 +23,12 @@ use std::io;
 pub fn on_end(heard: impl Fn() + Send + 'static) -> io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let signals = [SIGINT, SIGTERM, SIGHUP];
-    let listened = signals.iter().filter(|signal| !ignores(&status, **signal));
-    let mut signals = signal_hook::iterator::Signals::new(listened)?;
+    let outlives_its_terminal = ignores(&status, SIGHUP);
+    // Scripts let what they leave in the background ignore SIGINT, too; but who sends that by `kill` wants an end.
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
+    if !outlives_its_terminal {
+        signals.add_signal(SIGHUP)?;
+    }
     std::thread::Builder::new().spawn(move || signals.forever().for_each(|_| heard()))?;
     Ok(())
 }
