@@ -155,6 +155,18 @@ fn a_lens_is_found_beside_paths_where_it_is() {
 }
 
 #[test]
+fn no_frame_is_averaged_from_more_renders_than_are_asked_for() {
+    let device = Device::flex();
+    let mut settings = settings(400, BlurKind::Camera);
+    settings.camera.path = When::Always;
+    settings.camera.samples = 2;
+    let trainer = behind_first_trial(scene(0.12, 0.0, &device), settings, &device).0;
+    let figures = camera_figures(&trainer);
+    let samples = figures.frames.iter().map(|frame| frame.samples).max();
+    assert_eq!(samples, Some(2), "{figures:?}");
+}
+
+#[test]
 fn what_the_first_trial_decides_is_said() {
     use When::{Always, Auto, Never};
     let motion_blur = ": motion blur is modelled, and no defocus";
