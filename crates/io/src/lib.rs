@@ -22,6 +22,7 @@ mod json;
 mod key_frames;
 mod layouts;
 mod load;
+mod mask;
 mod notes;
 mod npy;
 mod open;
@@ -44,7 +45,8 @@ pub use export::{
 pub use glam;
 pub use json::{parse_json, read_json};
 pub use key_frames::{KeyFrame, read_key_frames};
-pub use picture::{Image, Map, encode_jpeg, read_image, read_map, write_map_png, write_png};
+pub use mask::read_map;
+pub use picture::{Image, Map, encode_jpeg, read_image, write_map_png, write_png};
 pub use ply::{read_ply, write_ply, write_points_ply};
 pub use resample::shrink_image;
 pub use scene::{Frame, LoadOptions, Scene, SparsePoint, TruthFolders, View};

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use crate::error::list_names;
 use crate::folder::{PICTURES, list};
+use crate::mask::read_map_for;
 use crate::notes::note;
 use crate::npy::read_npy;
-use crate::picture::{has_aspect, read_depth_png, read_image_for, read_map_for};
+use crate::picture::{has_aspect, read_depth_png, read_image_for};
 use crate::plan::{DepthFile, MaskFile, Picture, Plan, PlannedFrame, PlannedView};
 use crate::resample::{resize_nearest, shrink_camera, shrink_depth, shrink_image, shrink_map};
 use crate::{Frame, Image, IoError, LoadOptions, Map, Scene, Undistortion, View};

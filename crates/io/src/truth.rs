@@ -6,8 +6,9 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use crate::folder::{PICTURES, list};
 use crate::load::read_array_map;
+use crate::mask::read_map_for;
 use crate::npy::read_npy;
-use crate::picture::{Size, read_image_for, read_map_for};
+use crate::picture::{Size, read_image_for};
 use crate::resample::{shrink_depth, shrink_image, shrink_map};
 use crate::{Image, IoError, Map, Scene, Undistortion, View};
 

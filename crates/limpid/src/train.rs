@@ -217,7 +217,9 @@ fn restore(out: &Path, config: &Config, lock: &mut Lock) -> Result<(), Failure> 
         std::fs::create_dir_all(out).map_err(|e| format!("{e}: {}", out.display()))?;
         let gone = "this run's own folder was moved, or removed, and with it its checkpoint, from which --resume goes on";
         let taken = Lock::of(out).map_err(|e| format!("{e}; {gone}"))?;
-        if file.exists() {
+        // Where only the lock's file was removed, it is still this one's.
+        let is_own = || Config::of_run(out).is_ok_and(|found| found == *config);
+        if file.exists() && !is_own() {
             return Err(format!(
                 "{} is another run's by now, and nothing is written there; {gone}",
                 out.display()

@@ -17,7 +17,13 @@ pub(crate) struct Seen {
     pub(crate) depth: f64,
 }
 
-/// The pixels of a frame that another camera has in its picture: every `step`th of a row and a column. `depth` says how far a pixel
+/// The pixels at every `step`th of a row and a column.
+pub(crate) fn every(camera: &Camera, step: usize) -> impl Iterator<Item = usize> + use<> {
+    let (width, rows) = (camera.width, (0..camera.height).step_by(step));
+    rows.flat_map(move |y| (0..width).step_by(step).map(move |x| y * width + x))
+}
+
+/// The pixels of a frame that another camera has in its picture, of [`every`] `step`th. `depth` says how far a pixel
 /// is, and that it is not known by 0.
 pub(crate) fn seen_in<'a>(
     camera: &'a Camera,
@@ -26,10 +32,7 @@ pub(crate) fn seen_in<'a>(
     other_from_camera: DAffine3,
     step: usize,
 ) -> impl Iterator<Item = Seen> + 'a {
-    let rows = (0..camera.height).step_by(step);
-    let pixels = rows.flat_map(move |y| (0..camera.width).step_by(step).map(move |x| (x, y)));
-    pixels.filter_map(move |(x, y)| {
-        let pixel = y * camera.width + x;
+    every(camera, step).filter_map(move |pixel| {
         let z = depth(pixel);
         if z <= 0.0 {
             return None;

@@ -244,6 +244,19 @@ fn a_folder_that_is_moved_away_is_not_looked_for_in_the_run_that_took_its_place(
 }
 
 #[test]
+fn a_run_whose_lock_is_removed_knows_its_folder() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    let (mut run, lines) = start(&out, &[])?;
+    wait_for_a_line(&out, &mut run)?;
+    fs::remove_file(out.join(".lock"))?;
+    let said = lines.lines().collect::<Result<Vec<_>, _>>()?.concat();
+    assert!(run.wait()?.success(), "{said}");
+    assert!(out.join("metrics.json").exists() && out.join(".lock").exists());
+    Ok(())
+}
+
+#[test]
 fn a_folder_that_is_removed_while_a_run_trains_is_made_anew_with_a_word() -> Outcome {
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("run");

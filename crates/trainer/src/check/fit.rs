@@ -2,7 +2,7 @@
 
 use super::reading::{Reading, readings};
 use crate::alignment::{DisparityFit, MIN_POINTS, points_from};
-use crate::correspondence::seen_in;
+use crate::correspondence::{every, seen_in};
 use crate::lifting::sample_color;
 use crate::placement::pixel_color;
 use crate::statistics::median;
@@ -376,9 +376,8 @@ fn step(camera: &Camera) -> usize {
 /// How many of a frame's pixels that are looked up have depth.
 fn num_known(scene: &Scene, fit: &Fit, frame: usize) -> usize {
     let camera = &scene.frames[frame].view.camera;
-    // Itself it sees whole, but for what has no depth.
-    let depth = |i: usize| fit.depth(scene, frame, i);
-    seen_in(camera, depth, camera, DAffine3::IDENTITY, step(camera)).count()
+    let pixels = every(camera, step(camera));
+    pixels.filter(|i| fit.depth(scene, frame, *i) > 0.0).count()
 }
 
 /// Moves a frame to another by depth and pose, and adds how far pixels go, px, to `shifts`; `None` where the other has hardly
