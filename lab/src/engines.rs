@@ -157,15 +157,18 @@ mod tests {
         }
     }
 
-    /// What a script says with `hq`, `parallel` and the like in a folder of stand-ins.
+    /// What a shell says.
     #[cfg(unix)]
-    fn said(script: &Path, variable: (&str, &str)) -> String {
-        let output = std::process::Command::new("sh")
-            .arg(script)
-            .env(variable.0, variable.1)
-            .output()
-            .expect("a shell");
+    fn said(shell: &mut std::process::Command) -> String {
+        let output = shell.output().expect("a shell");
         String::from_utf8_lossy(&output.stdout).into_owned()
+    }
+
+    /// What Slurm's script says in a task of the array.
+    #[cfg(unix)]
+    fn said_by_task(script: &Path, task: &str) -> String {
+        let mut shell = std::process::Command::new("sh");
+        said(shell.arg(script).env("SLURM_ARRAY_TASK_ID", task))
     }
 
     #[cfg(unix)]
@@ -181,7 +184,7 @@ mod tests {
         let text = std::fs::read_to_string(&script).expect("a script");
         assert!(text.contains("--array=1-3") && text.contains("--job-name='a study'"));
         for (task, id) in [("1", "aa"), ("3", "cc")] {
-            let said = said(&script, ("SLURM_ARRAY_TASK_ID", task));
+            let said = said_by_task(&script, task);
             assert_eq!(said, format!("it's $HOME {id}\n"));
         }
         let queued = folder.path().join("queued.sh");
@@ -196,19 +199,14 @@ mod tests {
         let text = std::fs::read_to_string(&script).expect("a script");
         assert_eq!(text.matches("\nhq submit").count(), 2, "{text}");
         write(Engine::Slurm);
-        let waited = said(&queued, ("SLURM_ARRAY_TASK_ID", "3"));
+        let waited = said_by_task(&queued, "3");
         assert_eq!(waited, "it's $HOME cc\n", "the list of a task that waits");
-        let stand_in = folder.path().join("hq");
-        std::fs::write(&stand_in, "#!/bin/sh\nshift 5\necho \"$2|$4\"\n").expect("written");
-        let executable = std::process::Command::new("chmod")
-            .arg("+x")
-            .arg(&stand_in)
-            .status();
-        assert!(executable.expect("chmod").success(), "executable");
-        let path = std::env::var("PATH").unwrap_or_default();
-        let path = format!("{}:{path}", folder.path().display());
+        // A function stands in for the program: a file just written cannot be started while a process that another test is
+        // starting holds it open.
+        let stand_in = "hq() { shift 5; echo \"$2|$4\"; }; . \"$1\"";
+        let mut shell = std::process::Command::new("sh");
         assert_eq!(
-            said(&script, ("PATH", &path)),
+            said(shell.args(["-c", stand_in, "sh"]).arg(&script)),
             "echo|bb\necho|cc\n",
             "arguments after the options"
         );

@@ -287,26 +287,26 @@ fn now() -> u64 {
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;
-    use std::os::unix::fs::PermissionsExt;
 
-    /// A stand-in for the program, in shell, and a run of it.
+    /// A stand-in for the program, in shell, and a run of it. The shell reads the script, for a file just written cannot always be
+    /// started: a process that another test is starting may hold it open for a moment more.
     fn stand_in(folder: &Path, script: &str) -> (PlannedRun, Program) {
-        let path = folder.join("program");
-        fs::write(&path, format!("#!/bin/sh\n{script}\n")).expect("a script");
-        fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("executable");
+        let path = folder.join("script");
+        fs::write(&path, script).expect("a script");
         let out = folder.join("runs/aa");
+        let words = |path: &Path| path.to_string_lossy().into_owned();
         let run = PlannedRun {
             id: "aa".to_owned(),
             scene: "s".to_owned(),
             arms: vec!["off".to_owned()],
             seed: 1,
             iterations: 200,
-            arguments: vec!["train".to_owned(), out.to_string_lossy().into_owned()],
+            arguments: vec![words(&path), "train".to_owned(), words(&out)],
             folder: out,
             command: Vec::new(),
         };
         let program = Program {
-            path,
+            path: "sh".into(),
             fingerprint: "f".to_owned(),
             version: "v".to_owned(),
             commit: None,

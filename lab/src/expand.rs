@@ -284,7 +284,8 @@ fn id(
     hex(&hashed(parts.chain(more))[..8])
 }
 
-/// Adds a table's settings by their dotted names; those that are there already take the new value.
+/// Adds a table's settings by their dotted names; those that are there already take the new value. What the new ones replace is
+/// gone: `a.b.c` where `a.b` becomes a word, and that word where `a.b.c` is set.
 fn flatten(prefix: &str, table: &Table, into: &mut Settings) {
     for (key, value) in table {
         insert(&format!("{prefix}{key}"), value, into);
@@ -295,9 +296,17 @@ fn insert(key: &str, value: &Value, into: &mut Settings) {
     match value {
         Value::Table(inner) => flatten(&format!("{key}."), inner, into),
         value => {
+            // Of both, the program would take the dotted one, which stands behind.
+            into.retain(|other, _| !is_within(other, key) && !is_within(key, other));
             into.insert(key.to_owned(), value.clone());
         }
     }
+}
+
+/// Whether a setting is a part of another, by their dotted names.
+fn is_within(key: &str, table: &str) -> bool {
+    let rest = key.strip_prefix(table);
+    rest.is_some_and(|rest| rest.starts_with('.'))
 }
 
 /// A value as `--set` takes it; names go without quotes.
@@ -385,6 +394,47 @@ on = "kernels"
         let kernels = Some("kernels");
         let off = Some("off");
         assert_eq!(against, [None, off, off, kernels, kernels]);
+    }
+
+    #[test]
+    fn what_is_set_last_replaces_a_table_or_a_part_of_it() {
+        let text = r#"
+scenes = ["a"]
+seeds = [1]
+baseline = "power"
+[set]
+iterations = 300
+camera.transfer.power = 2.2
+camera.transfer_px = 1
+[[variants]]
+name = "power"
+[[variants]]
+name = "word"
+set.camera.transfer = "linear"
+[[knobs]]
+name = "t"
+key = "camera.transfer"
+values = ["linear"]
+[[knobs]]
+name = "p"
+key = "camera.transfer.power"
+values = [2.0]
+on = "word"
+"#;
+        let cases = all(&study(text));
+        let others = "--set camera.transfer_px=1 --set iterations=300";
+        for (arm, set) in [
+            ("power", "camera.transfer.power=2.2"),
+            ("word", "camera.transfer=linear"),
+            ("t = linear", "camera.transfer=linear"),
+            ("p = 2.0", "camera.transfer.power=2.0"),
+        ] {
+            assert_eq!(
+                arguments(&cases, arm),
+                format!("--seed 1 --set {set} {others}"),
+                "{arm}"
+            );
+        }
     }
 
     #[test]

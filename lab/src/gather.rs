@@ -38,6 +38,8 @@ pub fn gather(
     let (mut days, mut machines, mut failed) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
     let mut finished: BTreeMap<&str, Finished> = BTreeMap::new();
     let mut seen = BTreeSet::new();
+    // What made the runs that stand here by the earlier report alone.
+    let mut taken = BTreeSet::new();
     for case in &cases {
         let id = case.run.id.as_str();
         if !seen.insert(id) {
@@ -59,6 +61,7 @@ pub fn gather(
             };
             finished.insert(id, run);
         } else if let Some(earlier) = kept.and_then(|kept| kept.finished(case, &study.score)) {
+            taken.insert(earlier.program.clone());
             finished.insert(id, earlier);
         } else if let Some(how) = record.attempts.last().and_then(|a| a.failed.clone()) {
             failed.push(FailedRun {
@@ -71,7 +74,13 @@ pub fn gather(
         }
     }
     let mut earlier = Vec::new();
-    for kept in kept.iter().flat_map(|kept| kept.origins()) {
+    // A run of which that report does not say what made it may be of any of its programs.
+    let is_taken = |of: &&Origin| {
+        let mut taken = taken.iter();
+        taken.any(|made: &Option<String>| made.as_ref().is_none_or(|made| *made == of.program()))
+    };
+    let origins = kept.iter().flat_map(|kept| kept.origins());
+    for kept in origins.filter(is_taken) {
         if kept.program() == origin.program() {
             days.extend(
                 kept.dates
@@ -152,6 +161,16 @@ name = "bound"
 set.x = 2
 except = ["b"]
 "#;
+
+    fn program(commit: &str) -> Program {
+        Program {
+            path: "limpid".into(),
+            fingerprint: commit.to_owned(),
+            version: "limpid 0".to_owned(),
+            commit: Some(commit.to_owned()),
+            changed: false,
+        }
+    }
 
     /// A run's results, or the record of one that died.
     fn write(places: &Places, case: &Case, all: Option<f64>) {
@@ -276,13 +295,6 @@ except = ["b"]
         let folder = tempfile::tempdir().expect("a folder");
         let path = Path::new("s.toml");
         let study = Study::parse(STUDY, path).expect("a study");
-        let program = |commit: &str| Program {
-            path: "limpid".into(),
-            fingerprint: commit.to_owned(),
-            version: "limpid 0".to_owned(),
-            commit: Some(commit.to_owned()),
-            changed: false,
-        };
         let places = |name: &str| Places {
             out: folder.path().join(name),
         };
@@ -380,5 +392,67 @@ except = ["b"]
             let error = Kept::read(&file, name, study).expect_err("no use");
             assert!(error.to_string().contains(told), "{error}");
         }
+    }
+
+    #[test]
+    fn a_report_names_only_what_made_its_runs() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = Path::new("s.toml");
+        let study = Study::parse(STUDY, path).expect("a study");
+        let one_seed = STUDY.replace("seeds = [1, 2]", "seeds = [1]");
+        let one_seed = Study::parse(&one_seed, path).expect("a study");
+        let places = |name: &str| Places {
+            out: folder.path().join(name),
+        };
+        // What is trained with a seed begins on that day, by `write`.
+        let trained = |commit: &str, seeds: &[u64]| {
+            for case in cases(&study, path, commit).expect("cases") {
+                if seeds.contains(&case.seed) {
+                    write(&places(commit), &case, Some(30.0));
+                }
+            }
+        };
+        let of = |study: &Study, commit: &str, kept: Option<&Kept>| {
+            let report = gather(("s", study, path), &program(commit), &places(commit), kept);
+            report.expect("a report")
+        };
+        let file = folder.path().join("s.json");
+        let keep = |report: &Report| {
+            fs::write(&file, serde_json::to_string(report).expect("JSON")).expect("written");
+            Kept::read(&file, "s", &study).expect("a report")
+        };
+
+        // `first` made one seed, `second` the other.
+        trained("first", &[1]);
+        trained("second", &[2]);
+        let first = of(&study, "first", None);
+        let both = of(&study, "second", Some(&keep(&first)));
+        assert_eq!((both.finished, both.earlier.len()), (10, 1));
+
+        // A third makes one of them anew, and then all: what nothing is of any more is not named.
+        trained("third", &[2]);
+        let third = of(&study, "third", Some(&keep(&both)));
+        assert_eq!(third.finished, 10);
+        assert_eq!(third.earlier, std::slice::from_ref(&first.origin));
+        trained("third", &[1, 2]);
+        let third = of(&study, "third", Some(&keep(&both)));
+        assert_eq!(third.finished, 10);
+        assert!(third.earlier.is_empty(), "{:?}", third.earlier);
+        let mut rows = third.scenes.iter().flat_map(|table| &table.rows);
+        assert!(rows.all(|row| row.programs.is_empty()), "one program");
+
+        // Nor are days of the same program on which others of its runs began.
+        let third = of(&one_seed, "third", Some(&keep(&third)));
+        assert_eq!((third.finished, third.earlier.len()), (5, 0));
+        let day = "1970-01-02".to_owned();
+        assert_eq!(third.origin.dates, Some((day.clone(), day)));
+
+        // Where a report does not say which of its programs made a run, it may be any.
+        let mut unsaid = both.clone();
+        let rows = unsaid.scenes.iter_mut().flat_map(|table| &mut table.rows);
+        rows.for_each(|row| row.programs.clear());
+        let fourth = of(&one_seed, "fourth", Some(&keep(&unsaid)));
+        assert_eq!(fourth.finished, 5);
+        assert_eq!(fourth.earlier, [first.origin, both.origin]);
     }
 }

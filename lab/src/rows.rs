@@ -39,12 +39,12 @@ pub(crate) fn rows(study: &Study, arms: &[Arm], all: &ByArm<'_>) -> Vec<Row> {
         let there = values(arm.against.as_deref(), score);
         let from = values(Some(study.baseline()), score);
         let to = values(study.bound.as_deref(), score);
-        let kind = study.score[score].kind();
+        let (kind, least) = (study.score[score].kind(), study.score[score].least_way());
         let is_way = kind == Kind::Quality && arm.name != study.baseline();
         Cell {
             mean: Summary::of(&Vec::from_iter(here.values().copied())),
             gain: gain(kind, &here, &there),
-            closed: is_way.then(|| closed(&here, &from, &to)).flatten(),
+            closed: is_way.then(|| closed(&here, &from, &to, least)).flatten(),
             values: here,
         }
     };
@@ -105,12 +105,14 @@ fn gain(kind: Kind, here: &BTreeMap<u64, f64>, there: &BTreeMap<u64, f64>) -> Op
     Summary::of(&pairs.collect::<Vec<_>>())
 }
 
-/// The share of the way between two arms, over the seeds that all three have; none where that way is not clear of zero, which a share
-/// would divide by.
+/// The share of the way between two arms, a mean over the seeds that all three have. None where that way is on average less than
+/// `least`, or with one of the seeds half of the average or less: each seed's share divides by its own way, and a short one would
+/// decide by itself. (A way of several seeds is then beyond two standard errors; with two seeds that is the same.)
 fn closed(
     here: &BTreeMap<u64, f64>,
     from: &BTreeMap<u64, f64>,
     to: &BTreeMap<u64, f64>,
+    least: f64,
 ) -> Option<Summary> {
     let ways: Vec<(f64, f64)> = here
         .iter()
@@ -120,7 +122,7 @@ fn closed(
         })
         .collect();
     let whole = Summary::of(&Vec::from_iter(ways.iter().map(|(_, whole)| *whole)))?;
-    let is_way = whole.mean > 0.0 && (whole.standard_error.is_none() || whole.is_clear());
+    let is_way = whole.mean >= least && ways.iter().all(|(_, way)| *way > 0.5 * whole.mean);
     let shares = ways.iter().map(|(part, whole)| part / whole);
     is_way
         .then(|| Summary::of(&shares.collect::<Vec<_>>()))
@@ -159,6 +161,8 @@ pub(crate) fn overall(arms: &[Arm], scenes: &[SceneTable], scores: usize) -> Vec
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::score::Score;
+    use property::property;
 
     fn map(values: &[(u64, f64)]) -> BTreeMap<u64, f64> {
         values.iter().copied().collect()
@@ -182,17 +186,91 @@ mod tests {
     fn a_share_needs_a_way_to_be_a_share_of() {
         let from = map(&[(1, 20.0), (2, 20.0)]);
         let to = map(&[(1, 30.0), (2, 40.0)]);
-        let found = closed(&map(&[(1, 25.0), (2, 35.0)]), &from, &to).expect("a way");
+        let found = closed(&map(&[(1, 25.0), (2, 35.0)]), &from, &to, 0.1).expect("a way");
         assert!((found.mean - 0.625).abs() < 1e-12);
-        let found = closed(&from, &from, &to).expect("a way");
+        let found = closed(&from, &from, &to, 0.1).expect("a way");
         assert_eq!(found.mean, 0.0);
         let flat = map(&[(1, 20.1), (2, 19.95)]);
         assert_eq!(
-            closed(&to, &from, &flat),
+            closed(&to, &from, &flat, 0.1),
             None,
             "inside two standard errors"
         );
-        assert_eq!(closed(&to, &to, &from), None, "the wrong way");
-        assert_eq!(closed(&to, &from, &BTreeMap::new()), None, "no bound yet");
+        assert_eq!(closed(&to, &to, &from, 0.1), None, "the wrong way");
+        assert_eq!(
+            closed(&to, &from, &BTreeMap::new(), 0.1),
+            None,
+            "no bound yet"
+        );
+    }
+
+    #[test]
+    fn a_short_way_has_no_shares() {
+        // One seed: 0.01 dB are noise, and half a decibel no fifty times of something.
+        let at = |value: f64| map(&[(1, value)]);
+        let share = |to: f64| closed(&at(30.5), &at(30.0), &at(to), 0.1);
+        assert_eq!(share(30.01), None);
+        let found = share(30.2).expect("a way");
+        assert!((found.mean - 2.5).abs() < 1e-9, "{found:?}");
+        assert_eq!(found.standard_error, None);
+        // The same with two seeds that happen to agree.
+        let two = |value: f64| map(&[(1, value), (2, value + 0.001)]);
+        assert_eq!(closed(&two(30.5), &two(30.0), &two(30.01), 0.1), None);
+        // What has more decimal places is told on a shorter way.
+        let least = |name: &str| Score::from(name.to_owned()).least_way();
+        assert!((least("all") - 0.1).abs() < 1e-12, "dB");
+        assert!((least("ssim") - 1e-3).abs() < 1e-12, "SSIM");
+    }
+
+    #[test]
+    fn no_seed_decides_a_share_by_its_short_way() {
+        // Far beyond two standard errors, but the share with seed 8 is 500.
+        let seeds = || 1..=8_u64;
+        let flat: BTreeMap<u64, f64> = seeds().map(|seed| (seed, 20.0)).collect();
+        let here: BTreeMap<u64, f64> = seeds().map(|seed| (seed, 20.5)).collect();
+        let to = |last: f64| -> BTreeMap<u64, f64> {
+            let way = |seed: u64| if seed == 8 { last } else { 1.0 };
+            seeds().map(|seed| (seed, 20.0 + way(seed))).collect()
+        };
+        assert_eq!(closed(&here, &flat, &to(0.001), 0.1), None);
+        let found = closed(&here, &flat, &to(0.8), 0.1).expect("a way");
+        assert!((found.mean - (7.0 * 0.5 + 0.625) / 8.0).abs() < 1e-9);
+
+        // With two seeds it is the rule of two standard errors.
+        let two = |a: f64, b: f64| map(&[(1, 20.0 + a), (2, 20.0 + b)]);
+        for short in [-1.0, 0.0, 0.2, 0.3, 0.4, 0.9, 1.0] {
+            let way = Summary::of(&[1.0, short]).expect("two");
+            let found = closed(&two(0.5, 0.5), &two(0.0, 0.0), &two(1.0, short), 0.1);
+            assert_eq!(found.is_some(), way.is_clear(), "{short}");
+        }
+
+        // Where an arm is off, its share is off by no more than twice that part of the mean way.
+        property("shares", 500, |u| {
+            let count = u.int_in_range(1..=8_u64)?;
+            let ranges: [(i32, i32); 4] = [(2000, 2100), (2000, 2300), (-10, 10), (-50, 200)];
+            let mut drawn = [(); 4].map(|()| BTreeMap::new());
+            for seed in 1..=count {
+                for (values, (least, most)) in drawn.iter_mut().zip(ranges) {
+                    let value = u.int_in_range(least..=most)?;
+                    values.insert(seed, f64::from(value) / 100.0);
+                }
+            }
+            let [from, here, off, way] = drawn;
+            let add = |a: &BTreeMap<u64, f64>, b: &BTreeMap<u64, f64>| -> BTreeMap<u64, f64> {
+                a.iter().map(|(seed, v)| (*seed, v + b[seed])).collect()
+            };
+            let to = add(&from, &way);
+            let Some(share) = closed(&here, &from, &to, 0.1) else {
+                return Ok(());
+            };
+            let moved = closed(&add(&here, &off), &from, &to, 0.1).expect("the same way");
+            let mean = |of: &BTreeMap<u64, f64>, f: fn(&f64) -> f64| {
+                of.values().map(f).sum::<f64>() / of.len() as f64
+            };
+            let most = 2.0 * mean(&off, |v| v.abs()) / mean(&way, |v| *v);
+            let change = (moved.mean - share.mean).abs();
+            assert!(change <= most + 1e-9, "{change} of {most}: {way:?}");
+            Ok(())
+        });
     }
 }

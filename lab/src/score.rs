@@ -134,6 +134,11 @@ impl Score {
         self.known().map_or(4, |known| known.digits)
     }
 
+    /// The least way between two arms that it can tell a share of: ten of its last decimal place, of dB 0.1.
+    pub(crate) fn least_way(&self) -> f64 {
+        10.0_f64.powi(1 - self.digits() as i32)
+    }
+
     /// How two runs are compared by it.
     #[must_use]
     pub fn kind(&self) -> Kind {

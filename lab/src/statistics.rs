@@ -79,6 +79,7 @@ pub(crate) fn pareto_front(points: &[(f64, f64)]) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use property::property;
 
     #[test]
     fn a_mean_and_its_error_by_hand() {
@@ -99,7 +100,7 @@ mod tests {
 
     #[test]
     fn a_mean_moves_with_its_values_and_its_error_does_not() {
-        arbtest::arbtest(|u| {
+        property("a mean moves with its values", 500, |u| {
             let values: Vec<f64> = (0..u.int_in_range(2..=9)?)
                 .map(|_| Ok(f64::from(u.int_in_range(-1000..=1000)?) / 8.0))
                 .collect::<Result<_, _>>()?;
@@ -142,7 +143,7 @@ mod tests {
 
     #[test]
     fn nothing_on_the_front_is_beaten_and_all_else_is() {
-        arbtest::arbtest(|u| {
+        property("nothing on the front is beaten", 500, |u| {
             let points: Vec<(f64, f64)> = (0..u.int_in_range(0..=12)?)
                 .map(|_| {
                     Ok((

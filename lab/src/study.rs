@@ -210,6 +210,11 @@ impl Study {
                 return wrong(&format!("plot.{key}"), problem);
             }
         }
+        for (i, scene) in self.scenes.iter().enumerate() {
+            if self.scenes[..i].contains(scene) {
+                return wrong("scenes", format!("`{scene}` is there twice"));
+            }
+        }
         for (i, seed) in self.seeds.iter().enumerate() {
             if self.seeds[..i].contains(seed) {
                 return wrong("seeds", format!("{seed} is there twice"));
@@ -352,14 +357,21 @@ score = ["all"]
     }
 
     #[test]
-    fn no_seed_counts_twice() {
-        let text = SMALL.replace("seeds = [1]", "seeds = [2, 1, 2]");
-        let said = Study::parse(&text, Path::new("s.toml")).expect_err("a mistake");
-        let said = said.to_string();
-        assert!(
-            said.contains("`seeds`") && said.contains("2 is there twice"),
-            "{said}"
-        );
+    fn no_scene_and_no_seed_counts_twice() {
+        for (once, twice, key, told) in [
+            ("[1]", "[2, 1, 2]", "`seeds`", "2 is there twice"),
+            (
+                "[\"demo\"]",
+                "[\"demo\", \"a\", \"demo\"]",
+                "`scenes`",
+                "`demo` is there twice",
+            ),
+        ] {
+            let text = SMALL.replace(once, twice);
+            let said = Study::parse(&text, Path::new("s.toml")).expect_err("a mistake");
+            let said = said.to_string();
+            assert!(said.contains(key) && said.contains(told), "{said}");
+        }
     }
 
     #[test]

@@ -49,7 +49,7 @@ const ARROWS: [(&str, &[&str]); 15] = [
         "limpid-bench",
         &["host", "splat-core", "bpnet", "io", "trainer"],
     ),
-    ("limpid-lab", &["signals"]),
+    ("limpid-lab", &["signals", "property"]),
     ("xtask", &[]),
 ];
 

@@ -4,6 +4,7 @@ use crate::copies::{NONE, Outcome, array, differing, files, scenes, whole_copy};
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use image::RgbImage;
 use limpid_lab::{Perturb, Scenes};
+use npyz::WriterBuilder as _;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,14 +22,12 @@ fn depth_at(y: usize) -> f64 {
 /// The repository's scene with a true depth that we make up.
 fn scene(folder: &Path) -> Result<(Scenes, PathBuf), Box<dyn std::error::Error>> {
     let scene = whole_copy(folder)?;
-    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({H}, {W}), }}");
-    let header = format!("{header:<117}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend(u16::try_from(header.len())?.to_le_bytes());
-    bytes.extend(header.bytes());
-    for i in 0..W * H {
-        bytes.extend((depth_at(i / W) as f32).to_le_bytes());
-    }
+    let mut bytes: Vec<u8> = Vec::new();
+    let options = npyz::WriteOptions::new().default_dtype();
+    let options = options.shape(&[H as u64, W as u64]);
+    let mut writer = options.writer(&mut bytes).begin_nd()?;
+    writer.extend((0..W * H).map(|i| depth_at(i / W) as f32))?;
+    writer.finish()?;
     let depth = scene.join("truth/depth");
     fs::create_dir_all(&depth)?;
     for frame in 0..16 {
