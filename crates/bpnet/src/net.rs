@@ -3,7 +3,7 @@
 //! first two layers, as the paper says; its code joins the extractor's raw input once.
 
 use burn::tensor::{DType, Device, Tensor};
-use host::{all_zero, count_not_finite};
+use host::{all_zero, count_not_finite, product};
 
 use crate::BpNetError;
 use crate::cpu::predict::{self, PredictSize};
@@ -291,7 +291,7 @@ impl BpNet {
                 .weight
                 .narrow(0, EMBEDDING_CHANNELS, varying)
                 .into_dispatch(),
-            bias0: (embedding.matmul(of_embedding) + first.bias).into_dispatch(),
+            bias0: (product(embedding, of_embedding) + first.bias).into_dispatch(),
             weight1: second.weight.into_dispatch(),
             bias1: second.bias.into_dispatch(),
             weight2: third.weight.into_dispatch(),

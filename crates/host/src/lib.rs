@@ -1,6 +1,6 @@
 //! What kernels in main memory share: the float types they compute with ([`Real`]), the machine's vectors of them
 //! ([`Vectors`], [`vectorized`]), large buffers ([`filled`]), and, with the feature `burn`, the way from a backend's tensors to slices and back
-//! ([`HostBackend`]), and the question whether a tensor is all numbers ([`first_not_finite`]). The feature `cube` adds
+//! ([`HostBackend`]), products of small matrices ([`product`]), and the question whether a tensor is all numbers ([`first_not_finite`]). The feature `cube` adds
 //! what kernels on a GPU share.
 //!
 //! ```
@@ -23,6 +23,8 @@ pub mod cube;
 #[cfg(feature = "burn")]
 mod finite;
 #[cfg(feature = "burn")]
+mod product;
+#[cfg(feature = "burn")]
 mod read;
 mod real;
 #[cfg(feature = "burn")]
@@ -32,6 +34,8 @@ mod vectors;
 pub use buffers::filled;
 #[cfg(feature = "burn")]
 pub use finite::{all_zero, count_not_finite, first_not_finite};
+#[cfg(feature = "burn")]
+pub use product::{product, products};
 #[cfg(feature = "burn")]
 pub use read::{WAIT, read, said, try_read, waiting};
 pub use real::Real;

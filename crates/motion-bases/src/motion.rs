@@ -7,6 +7,7 @@ use crate::rotation::{MAX_ENTRY, gram_schmidt};
 use burn::backend::Dispatch;
 use burn::tensor::activation::softmax;
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use host::product;
 
 /// Rotations and translations of all bases in all training frames: the trainable tensors.
 #[derive(Clone, Debug)]
@@ -86,8 +87,8 @@ impl MotionBases {
         let weights = softmax(coefficients.clone(), 1); // [F, B]
         let [rots, transls] = self.at(&[self.moment(time)]);
         Motion {
-            rotations: gram_schmidt(weights.clone().matmul(rots)),
-            translations: weights.matmul(transls),
+            rotations: gram_schmidt(product(weights.clone(), rots)),
+            translations: product(weights, transls),
         }
     }
 

@@ -50,7 +50,7 @@ pub enum SplatError {
     },
     /// A table would not fit into the device's buffers.
     #[error(
-        "{table} need {bytes} bytes, but a buffer of this device holds {limit}: use fewer or smaller Gaussians, smaller pictures, or the CPU"
+        "{table} need {bytes} bytes, but a buffer of this device holds {limit}: use fewer or smaller Gaussians, smaller pictures, fewer samples of an exposure, or the CPU"
     )]
     TooLarge {
         /// What the table holds.

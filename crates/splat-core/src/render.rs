@@ -130,7 +130,7 @@ pub(crate) fn scene(splats: Splats, cam_from_world: Tensor<2>) -> SceneTensors<D
 /// Wrong shapes or types, an unusable camera, a value that is not finite (named with its row).
 ///
 /// # Panics
-/// On a backend that has no splatting kernels, with Burn's message.
+/// On a backend that has no splatting kernels, with Burn's message, and on a GPU where tensors are not f32.
 pub fn prepare(splats: &Splats, view: &Viewpoint) -> Result<Prepared, SplatError> {
     prepare_for(splats, view, None)
 }

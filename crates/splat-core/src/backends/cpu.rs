@@ -46,9 +46,7 @@ macro_rules! host_ops {
                 _screen_grad: FloatTensor<Self>,
                 taking: Taking,
             ) -> Collected<Self> {
-                Self::expose_saved(scene, moving, &taking)
-                    .map(|(picture, _)| picture)
-                    .into()
+                take_picture_on::<Self>(scene, moving, &taking).into()
             }
         }
 
@@ -312,20 +310,40 @@ fn expose_on<B: HostBackend>(
     taking: &Taking,
 ) -> Result<(Picture<B>, Arc<SavedExposure>), SplatError> {
     let like = scene.means.clone();
-    let (height, width) = (taking.camera.height, taking.camera.width);
     with_float!(like.dtype(), T => {
         let exposed = with_exposure::<T, B, _>(scene, moving, taking, cpu::expose)?;
-        let rows = exposed.radii.len();
         let saved = SavedExposure {
             taking: taking.clone(),
             state: exposed.state.into(),
         };
-        let picture = Picture {
-            color: tensor::<T, B>(exposed.color, [height, width, 3], &like),
-            radii: tensor::<f32, B>(exposed.radii, [rows], &like),
-        };
+        let picture = picture_of::<T, B>((exposed.color, exposed.radii), taking, &like);
         Ok((picture, Arc::new(saved)))
     })
+}
+
+fn take_picture_on<B: HostBackend>(
+    scene: SceneTensors<B>,
+    moving: MovingTensors<B>,
+    taking: &Taking,
+) -> Result<Picture<B>, SplatError> {
+    let like = scene.means.clone();
+    with_float!(like.dtype(), T => {
+        let taken = with_exposure::<T, B, _>(scene, moving, taking, cpu::take_picture)?;
+        Ok(picture_of::<T, B>(taken, taking, &like))
+    })
+}
+
+fn picture_of<T: HostFloat, B: HostBackend>(
+    (color, radii): (Vec<T>, Vec<f32>),
+    taking: &Taking,
+    like: &FloatTensor<B>,
+) -> Picture<B> {
+    let (height, width) = (taking.camera.height, taking.camera.width);
+    let rows = radii.len();
+    Picture {
+        color: tensor::<T, B>(color, [height, width, 3], like),
+        radii: tensor::<f32, B>(radii, [rows], like),
+    }
 }
 
 fn expose_backward_on<T: HostFloat + Float, B: HostBackend>(

@@ -20,8 +20,14 @@ use super::transfer::Transfer;
 use super::types::{SplatSlices, View};
 use crate::error::SplatError;
 
-/// See [`super::expose`].
-pub(super) fn expose<T: Real>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, SplatError> {
+/// So many samples lie in memory at a time where no backward pass wants them all.
+const TOGETHER: usize = 8;
+
+/// See [`super::expose`]; without samples in its state where it does not go back.
+pub(super) fn expose<T: Real>(
+    exposure: &Exposure<'_, T>,
+    goes_back: bool,
+) -> Result<Exposed<T>, SplatError> {
     let _span = tracing::trace_span!("expose").entered();
     exposure.check()?;
     let splats = exposure.resting();
@@ -48,51 +54,56 @@ pub(super) fn expose<T: Real>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, 
         let lens = Lens::new(&view)?;
         looks.push((view, lens, moved));
     }
-    // Samples side by side: what one does on a single thread, such as sorting, the others fill.
-    let samples: Vec<Sample<T>> = looks
-        .into_par_iter()
-        .map(|(view, lens, moved)| {
-            let pieces: Vec<_> = stills
-                .par_iter()
-                .zip(chunks(count))
-                .map(|(stills, rows)| {
-                    arch.dispatch(ProjectStills {
-                        splats: &splats,
-                        stills,
-                        moved: &moved,
-                        lens: &lens,
-                        rows,
-                    })
+    let take = |(view, lens, moved): &(View, Lens<T>, Moved<'_, T>)| {
+        let pieces: Vec<_> = stills
+            .par_iter()
+            .zip(chunks(count))
+            .map(|(stills, rows)| {
+                arch.dispatch(ProjectStills {
+                    splats: &splats,
+                    stills,
+                    moved,
+                    lens,
+                    rows,
                 })
-                .collect();
-            let projection = in_depth_order(&view, lens, count, &pieces)?;
-            let (blended, raster) = blend(&projection, &[], COLORS);
-            Ok(Sample {
-                projection,
-                raster,
-                blended,
             })
+            .collect();
+        let projection = in_depth_order(view, *lens, count, &pieces)?;
+        let (blended, raster) = blend(&projection, &[], COLORS);
+        Ok(Sample {
+            projection,
+            raster,
+            blended,
         })
-        .collect::<Result<_, SplatError>>()?;
-    for sample in &samples {
-        for (largest, radius) in radii.iter_mut().zip(&sample.projection.radii) {
-            *largest = largest.max(*radius);
+    };
+    let mut kept = Vec::new();
+    for looks in looks.chunks(if goes_back { n } else { TOGETHER }) {
+        // Samples side by side: what one does on a single thread, such as sorting, the others fill.
+        let samples = looks.par_iter().map(take);
+        let samples: Vec<Sample<T>> = samples.collect::<Result<_, SplatError>>()?;
+        for sample in &samples {
+            for (largest, radius) in radii.iter_mut().zip(&sample.projection.radii) {
+                *largest = largest.max(*radius);
+            }
+        }
+        picture
+            .par_chunks_mut(BLOCKS * COLORS)
+            .enumerate()
+            .for_each(|(tile, sum)| {
+                let tile = tile * BLOCKS * COLORS..(tile + 1) * BLOCKS * COLORS;
+                for sample in &samples {
+                    arch.dispatch(AddLight {
+                        transfer: exposure.transfer,
+                        weight: T::of(1.0 / n as f64),
+                        blended: &sample.blended[tile.clone()],
+                        sum,
+                    });
+                }
+            });
+        if goes_back {
+            kept = samples;
         }
     }
-    picture
-        .par_chunks_mut(BLOCKS * COLORS)
-        .enumerate()
-        .for_each(|(tile, sum)| {
-            let tile = tile * BLOCKS * COLORS..(tile + 1) * BLOCKS * COLORS;
-            for sample in &samples {
-                arch.dispatch(AddLight {
-                    transfer: exposure.transfer,
-                    weight: T::of(1.0 / n as f64),
-                    blended: &sample.blended[tile.clone()],
-                    sum,
-                });
-            }
-        });
     picture
         .par_chunks_mut(BLOCKS * COLORS)
         .for_each(|light| arch.dispatch(Encode(exposure.transfer, light)));
@@ -106,7 +117,10 @@ pub(super) fn expose<T: Real>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, 
     Ok(Exposed {
         color,
         radii,
-        state: ExposedState { samples, picture },
+        state: ExposedState {
+            samples: kept,
+            picture,
+        },
     })
 }
 

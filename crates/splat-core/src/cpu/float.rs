@@ -39,7 +39,10 @@ mod sealed {
             v_output: &[Self],
             options: BackwardOptions,
         ) -> Result<Gradients<Self>, SplatError>;
-        fn expose(exposure: &Exposure<'_, Self>) -> Result<Exposed<Self>, SplatError>;
+        fn expose(
+            exposure: &Exposure<'_, Self>,
+            goes_back: bool,
+        ) -> Result<Exposed<Self>, SplatError>;
         fn expose_backward(
             exposure: &Exposure<'_, Self>,
             state: &ExposedState<Self>,
@@ -87,8 +90,11 @@ macro_rules! float {
             }
 
             #[inline(never)]
-            fn expose(exposure: &Exposure<'_, Self>) -> Result<Exposed<Self>, SplatError> {
-                super::expose::expose(exposure)
+            fn expose(
+                exposure: &Exposure<'_, Self>,
+                goes_back: bool,
+            ) -> Result<Exposed<Self>, SplatError> {
+                super::expose::expose(exposure, goes_back)
             }
 
             #[inline(never)]
@@ -154,7 +160,18 @@ pub fn backward<T: Float>(
 /// # Errors
 /// Wrong lengths, no sample, an unusable camera, or an input that is not finite, which is named with its row.
 pub fn expose<T: Float>(exposure: &Exposure<'_, T>) -> Result<Exposed<T>, SplatError> {
-    T::expose(exposure)
+    T::expose(exposure, true)
+}
+
+/// Colour and radii of [`expose`], bit for bit, in memory that does not grow with the number of samples.
+///
+/// # Errors
+/// As [`expose`].
+pub fn take_picture<T: Float>(
+    exposure: &Exposure<'_, T>,
+) -> Result<(Vec<T>, Vec<f32>), SplatError> {
+    let Exposed { color, radii, .. } = T::expose(exposure, false)?;
+    Ok((color, radii))
 }
 
 /// Gradients of an exposure from the gradient of its picture, `v_color` [H, W, 3]. Those of the samples' poses are left out

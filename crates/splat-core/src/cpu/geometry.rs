@@ -60,6 +60,7 @@ impl<T: Real> Lens<T> {
 
 /// Least and largest x/z and y/z in the Jacobian.
 pub(crate) fn tangents(c: &Camera) -> [[f64; 2]; 2] {
+    let CameraModel::Pinhole = c.model;
     let (w, h) = (c.width as f64, c.height as f64);
     let margin = [0.3 * 0.5 * w / c.fx, 0.3 * 0.5 * h / c.fy];
     [

@@ -39,7 +39,7 @@ mod world_backward;
 pub use backward::Forward;
 pub use constants::{BASE_CHANNELS, LOW_PASS, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, TILE};
 pub use exposure::{Exposed, ExposedState, Exposure, ExposureGradients};
-pub use float::{Float, backward, expose, expose_backward, project, rasterize};
+pub use float::{Float, backward, expose, expose_backward, project, rasterize, take_picture};
 pub use gradients::{BackwardOptions, Gradients};
 pub use project::Projection;
 pub use raster::{Raster, RasterState};

@@ -111,7 +111,7 @@ pub(super) fn project<T: Real>(
     splats.check(view.sh_degree)?;
     let count = splats.len();
     let arch = Arch::new();
-    let chunks: Vec<Vec<(Splat<T>, Extent<T>)>> = (0..count.div_ceil(CHUNK))
+    let chunks: Vec<_> = (0..count.div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
             arch.dispatch(ProjectRows {
@@ -121,7 +121,9 @@ pub(super) fn project<T: Real>(
                 rows: chunk * CHUNK..((chunk + 1) * CHUNK).min(count),
             })
         })
-        .collect::<Result<_, SplatError>>()?;
+        .collect();
+    // In order, so that the first fault is named whatever the threads do.
+    let chunks: Vec<_> = chunks.into_iter().collect::<Result<_, SplatError>>()?;
     in_depth_order(view, lens, count, &chunks)
 }
 

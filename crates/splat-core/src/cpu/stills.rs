@@ -55,7 +55,7 @@ pub(super) fn stills<T: Real>(
 ) -> Result<Vec<Vec<Still<T>>>, SplatError> {
     let splats = exposure.resting();
     let arch = Arch::new();
-    chunks(splats.len())
+    let stills: Vec<_> = chunks(splats.len())
         .into_par_iter()
         .map(|rows| {
             arch.dispatch(MakeStills {
@@ -65,7 +65,9 @@ pub(super) fn stills<T: Real>(
                 rows,
             })
         })
-        .collect()
+        .collect();
+    // In order, so that the first fault is named whatever the threads do.
+    stills.into_iter().collect()
 }
 
 /// `count` rows in chunks of [`CHUNK`].

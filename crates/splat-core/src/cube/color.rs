@@ -23,7 +23,7 @@ fn sh_color(sh: &[f32], at: usize, values: &Array<f32>, #[comptime] used: usize)
     color
 }
 
-/// Colour of every Gaussian, [N, 3], seen from the centre of the first of `poses`; `stored` coefficients a channel.
+/// Colour of every Gaussian, [N, 3], seen from the centre of `pose`; `stored` coefficients a channel.
 #[cube(launch)]
 pub(crate) fn colors_kernel(
     shapes: &[f32],
@@ -49,7 +49,7 @@ pub(crate) fn colors_kernel(
 }
 
 /// Back through the colours. Each Gaussian's gradient of its colour lies in `v_shapes`, whose means get what comes through the
-/// direction; `v_pose` is [cubes, 12]. A Gaussian whose gradient is larger than f32 can hold gets none, where `dropped` says so.
+/// direction; `v_pose` is [cubes, 12]. A Gaussian whose gradient is larger than f32 can hold gets none, where `drops` says so.
 #[cube(launch)]
 pub(crate) fn colors_backward_kernel(
     shapes: &[f32],

@@ -6,9 +6,10 @@ use cubecl::prelude::Client;
 use host::cube::empty;
 use host::{said, waiting};
 
-use crate::camera::Camera;
+use crate::camera::{Camera, CameraModel};
 use crate::cpu::{GEOMETRIC, tangents};
 use crate::cube::geometry::LensLaunch;
+use crate::cube::project_backward::V_SHAPE;
 use crate::cube::raster_backward::pixel_width;
 use crate::error::SplatError;
 
@@ -51,6 +52,7 @@ impl Scene {
 
     pub(super) fn lens(&self) -> LensLaunch {
         let c = &self.camera;
+        let CameraModel::Pinhole = c.model;
         let [min, max] = tangents(c);
         LensLaunch::new(
             c.fx as f32,
@@ -99,6 +101,11 @@ impl Tables {
             client,
             "gradients of the projected Gaussians",
             self.scene.items() * (width + 1) + 1,
+        )?;
+        fits(
+            client,
+            "gradients of the Gaussians",
+            self.scene.rows * V_SHAPE,
         )
     }
 }

@@ -207,6 +207,32 @@ fn what_is_not_finite_is_named_with_its_row() {
 }
 
 #[test]
+fn of_several_faults_the_first_row_is_named() {
+    let mut bad = random_case(97, 3000, 1, 0, 0);
+    for row in [2999, 1600, 700] {
+        bad.means[3 * row] = f64::NAN;
+    }
+    bad.sh[12 * 1200] = f64::NAN;
+    let first = SplatError::NotFinite {
+        tensor: "means",
+        row: 700,
+    };
+    for _ in 0..20 {
+        let error = project(&bad.slices(), &bad.view()).unwrap_err();
+        assert_eq!(error, first, "a render");
+        let error = expose(&Exposure {
+            splats: bad.slices(),
+            middle: &bad.view(),
+            poses: &bad.pose,
+            moving_means: &[],
+            left_rotations: &[],
+            transfer: Transfer::Linear,
+        });
+        assert_eq!(error.unwrap_err(), first, "an exposure");
+    }
+}
+
+#[test]
 fn wrong_lengths_degrees_and_cameras_are_errors() {
     let case = random_case(96, 5, 1, 0, 0);
     let fails = |case: &Case<f64>| {

@@ -116,6 +116,17 @@ fn a_picture_is_the_mean_light_of_its_samples() {
 }
 
 #[test]
+fn a_picture_without_a_way_back_is_the_same_to_the_bit() {
+    for samples in [1, 8, 19] {
+        let moving = moving(random_case(3, 40, 0, 0, 0), samples, 17, Transfer::Srgb);
+        let (color, radii) = moving.with(|exposure| take_picture(exposure).unwrap());
+        let whole = moving.with(|exposure| expose(exposure).unwrap());
+        assert!(whole.color.iter().any(|v| *v > 0.2), "there is a picture");
+        assert_eq!((color, radii), (whole.color, whole.radii), "{samples}");
+    }
+}
+
+#[test]
 fn one_sample_where_the_camera_stands_is_a_render() {
     for degree in [0, 3] {
         let case = random_case(4, 30, degree, 0, 0);

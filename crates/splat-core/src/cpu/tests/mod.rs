@@ -203,9 +203,11 @@ fn one_ahead(opacity: f64) -> Case<f64> {
     }
 }
 
+/// NaN where one is: it is the largest of all.
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len(), "lengths");
-    a.iter().zip(b).fold(0.0, |m, (a, b)| m.max((a - b).abs()))
+    let differences = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+    differences.max_by(f64::total_cmp).unwrap_or(0.0)
 }
 
 /// Every entry of an input's gradient against central differences; `at` is the loss where entry `k` is moved, `value` that
