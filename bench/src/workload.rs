@@ -11,6 +11,9 @@ use trainer::{Device, Settings, TrainError, Trainer};
 /// Training frames of a workload.
 pub const FRAMES: usize = 24;
 
+/// From [`Workload::first_full_iteration`] on so many iterations do the same work; behind them the camera has its trial.
+pub const ALIKE: usize = 50;
+
 /// Renders that a frame of [`Blur::Camera`] is averaged from.
 pub const SAMPLES: usize = 8;
 
@@ -151,7 +154,7 @@ impl Workload {
 
     /// A trainer on pictures of noise, before its first iteration: all SH degrees from that on, no density control, the
     /// blur model as early as the schedule allows and without a hold, so that from iteration
-    /// [`Self::first_full_iteration`] on every one does the same work.
+    /// [`Self::first_full_iteration`] on [`ALIKE`] do the same work.
     ///
     /// # Errors
     /// The trainer refuses the sizes.
@@ -195,7 +198,8 @@ impl Workload {
         on_device(&trainer, self.scene(), device)
     }
 
-    /// From here on (1-based) every iteration does the same work: blur begins after 50, L_spa 50 later.
+    /// From here on (1-based) [`ALIKE`] iterations do the same work: blur begins after 50, L_spa 50 later, and the camera's trial
+    /// comes after 150.
     #[must_use]
     pub fn first_full_iteration(&self) -> usize {
         if self.blur == Blur::Off { 4 } else { 101 }
@@ -222,4 +226,45 @@ fn uniform(rng: &mut ChaCha8Rng) -> f64 {
 
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (-2.0 * uniform(rng).ln()).sqrt() * (std::f64::consts::TAU * uniform(rng)).cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_begins_or_is_tried_among_iterations_that_do_the_same_work() {
+        for blur in Blur::ALL {
+            let workload = Workload {
+                width: 32,
+                height: 24,
+                gaussians: 10,
+                blur,
+                kernel_size: 3,
+            };
+            let trainer = workload.trainer(&Device::flex()).expect("a small trainer");
+            let schedule = trainer.schedule();
+            let alike = workload.first_full_iteration()..workload.first_full_iteration() + ALIKE;
+            let (first, last) = (alike.start, alike.end - 1);
+            assert!(last <= schedule.iterations, "{}: {last}", blur.name());
+            // What comes after an iteration shows in the next one.
+            let moments = schedule.blur_moments.iter().copied();
+            let begun: Vec<_> = moments.filter(|m| (first..last).contains(m)).collect();
+            assert!(begun.is_empty(), "{}: after {begun:?}", blur.name());
+            let of = |it: usize| {
+                let sums = schedule.gathers_density(it);
+                let edits = schedule.controls_density(it) || schedule.resets_opacity(it);
+                (
+                    schedule.sh_degree_at(it),
+                    sums,
+                    edits,
+                    schedule.is_unseen(it),
+                )
+            };
+            let expected = (3, schedule.gathers_density(first), false, false);
+            for it in alike {
+                assert_eq!(of(it), expected, "{}, {it}", blur.name());
+            }
+        }
+    }
 }

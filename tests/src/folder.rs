@@ -70,7 +70,11 @@ fn row(sample: &TrackSample) -> [f32; 4] {
     [x - 0.5, y - 0.5, sample.occlusion, sample.expected_distance]
 }
 
-fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), IoError> {
+/// Writes an array of NumPy's.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), IoError> {
     let shape: Vec<u64> = shape.iter().map(|side| *side as u64).collect();
     io::write_atomic(path, |out| {
         let options = npyz::WriteOptions::new().default_dtype().shape(&shape);
@@ -84,6 +88,7 @@ fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), IoError
 mod tests {
     use super::*;
     use crate::bodies::{self, Bodies};
+    use crate::largest;
     use burn::tensor::Device;
     use io::{Tracks, View};
 
@@ -97,8 +102,7 @@ mod tests {
         let read = Scene::open(folder.path()).expect("a scene");
         let furthest = |a: &[f32], b: &[f32]| {
             assert_eq!(a.len(), b.len());
-            let off = a.iter().zip(b).map(|(a, b)| (a - b).abs());
-            off.fold(0.0, f32::max)
+            largest(a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs())))
         };
         let same = |a: &View, b: &View| {
             let clamped: Vec<f32> = a.image.pixels.iter().map(|v| v.clamp(0.0, 1.0)).collect();

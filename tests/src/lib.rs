@@ -194,15 +194,22 @@ pub fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
 /// Numbers in [-1, 1) that look random and are the same everywhere.
 #[must_use]
 pub fn noise(count: usize, seed: u64) -> Vec<f64> {
-    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) + 1;
-    (0..count)
-        .map(|_| {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-        })
-        .collect()
+    let mut noise = Noise(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) + 1);
+    (0..count).map(|_| noise.number()).collect()
+}
+
+/// The same, one after the other: Marsaglia's xorshift, by its state, which is not 0.
+#[derive(Clone, Debug)]
+pub struct Noise(pub u64);
+
+impl Noise {
+    /// The next one.
+    pub fn number(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
 }
 
 /// Numbers in [0, 1) without a pattern, the same everywhere.
@@ -217,6 +224,14 @@ pub fn unit_noise(count: usize, seed: usize) -> Vec<f64> {
 #[must_use]
 pub fn rounded(values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| f64::from(*v as f32)).collect()
+}
+
+/// The largest of some errors by magnitude, 0 of none; NaN where one is, so that it keeps no bound.
+#[must_use]
+pub fn largest(errors: impl IntoIterator<Item = f64>) -> f64 {
+    // A NaN with a sign would come first.
+    let errors = errors.into_iter().map(f64::abs);
+    errors.max_by(f64::total_cmp).unwrap_or(0.0)
 }
 
 /// Demands that `found` is no further from `expected` than `tolerance`, relative to the largest value.
@@ -245,4 +260,22 @@ pub fn in_pool<T: Send>(threads: usize, f: impl FnOnce() -> T + Send) -> T {
         .build()
         .expect("a pool of threads")
         .install(f)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_that_is_no_number_is_the_largest_wherever_it_stands() {
+        assert_eq!(largest([]), 0.0);
+        assert_eq!(largest([0.5, 2.0, 1.0]), 2.0);
+        for nan in [f64::NAN, -f64::NAN] {
+            for place in 0..3 {
+                let mut errors = [1.0, f64::INFINITY, 0.0];
+                errors[place] = nan;
+                assert!(largest(errors).is_nan(), "{place}");
+            }
+        }
+    }
 }

@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Tensor};
 use capture::{Capture, samples};
 use limpid_tests::wall::splats;
-use limpid_tests::{quick_devices, tensor, values};
+use limpid_tests::{largest, quick_devices, tensor, values};
 use splat_core::{Camera, Exposure, Splats, Transfer, Viewpoint, expose};
 use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 
@@ -84,10 +84,10 @@ fn path_focus_and_aperture_are_found_back() {
         // Both ways round are the same picture: a path has no direction where nothing moves.
         let error = |sign: f64| {
             let moments = [-0.5, -0.25, 0.25, 0.5];
-            moments.into_iter().fold(0.0_f64, |worst, s| {
+            largest(moments.into_iter().map(|s| {
                 let (a, b) = (place(&path, s), place(&learned, sign * s));
-                worst.max((a[0] - b[0]).hypot(a[1] - b[1]))
-            })
+                (a[0] - b[0]).hypot(a[1] - b[1])
+            }))
         };
         let worst = error(1.0).min(error(-1.0));
         assert!(

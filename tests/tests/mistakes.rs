@@ -2,9 +2,11 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 use io::{Map, Scene, TrackSample};
+use limpid_tests::folder::write_npy;
+use limpid_tests::tiny;
 use std::path::{Path, PathBuf};
 use trainer::check::{Verdict, check};
-use trainer::settings::When;
+use trainer::settings::{BlurKind, When};
 use trainer::{Device, SceneProblem, Settings, TrainError, Trainer, survey};
 
 /// The demo, and all scenes of the folder that `LIMPID_SCENES` names.
@@ -58,6 +60,7 @@ fn tracks_by(scene: &mut Scene, change: impl Fn(&mut TrackSample)) {
 
 const SHAPE_OF_MOTION: &str = "Shape-of-Motion";
 const NERFSTUDIO: &str = "nerfstudio";
+const MEGASAM: &str = "MegaSaM";
 
 /// Something that files may hold in the place of what is meant, as reading them makes of it.
 struct Mistake {
@@ -68,7 +71,7 @@ struct Mistake {
 }
 
 /// `pose` is what reading makes of the true pose: the files' matrices are read by their layout's custom, and hold another's.
-const MISTAKES: [Mistake; 12] = [
+const MISTAKES: [Mistake; 15] = [
     Mistake {
         name: "depth where disparity is meant",
         said: "inverse depth",
@@ -121,6 +124,21 @@ const MISTAKES: [Mistake; 12] = [
         name: "camera-to-world with OpenGL axes in COLMAP's model",
         said: "camera-to-world poses with OpenGL axes",
         make: |scene| pose_by(scene, SHAPE_OF_MOTION, |pose| pose.inverse() * flip()),
+    },
+    Mistake {
+        name: "OpenGL axes in MegaSaM's archive",
+        said: "camera-to-world poses with OpenGL axes",
+        make: |scene| pose_by(scene, MEGASAM, |pose| flip() * pose),
+    },
+    Mistake {
+        name: "world-to-camera in MegaSaM's archive",
+        said: "world-to-camera poses",
+        make: |scene| pose_by(scene, MEGASAM, |pose| pose.inverse()),
+    },
+    Mistake {
+        name: "world-to-camera with OpenGL axes in MegaSaM's archive",
+        said: "world-to-camera poses with OpenGL axes",
+        make: |scene| pose_by(scene, MEGASAM, |pose| pose.inverse() * flip()),
     },
     Mistake {
         name: "masks turned round",
@@ -216,6 +234,43 @@ fn depth_in_places_plain_points_and_large_masks_are_not_wrong() {
     assert!(masks(&large, When::Never).is_none(), "nothing moves anyhow");
 }
 
+/// `motion.when = "never"` has a scene as it would be without masks and tracks, whatever the masks show.
+#[test]
+fn masks_that_are_left_out_say_nothing() {
+    let (_, demo) = scenes().swap_remove(0);
+    let surveyed = |mut scene: Scene| {
+        let survey = survey(&mut scene, When::Never).expect("a survey");
+        (scene.frames, survey.scene_size, survey.depth_range)
+    };
+    let mut without = demo.clone();
+    without.frames.iter_mut().for_each(|f| f.mask = None);
+    let findings = check(&without, When::Never);
+    let without = surveyed(without);
+    let changes: [fn(f32) -> f32; 3] = [|moves| moves, |moves| 1.0 - moves, |_| 1.0];
+    for (k, change) in changes.into_iter().enumerate() {
+        let mut scene = demo.clone();
+        let masks = scene.frames.iter_mut().filter_map(|f| f.mask.as_mut());
+        masks
+            .flat_map(|m| &mut m.values)
+            .for_each(|v| *v = change(*v));
+        assert_eq!(check(&scene, When::Never), findings, "change {k}");
+        assert!(surveyed(scene) == without, "change {k}");
+    }
+}
+
+#[test]
+fn depth_is_right_where_only_the_poses_are_wrong() {
+    let (_, mut scene) = scenes().swap_remove(0);
+    // As MegaSaM has it: depth and poses in one unit, and no points to tell that by.
+    scene.points.clear();
+    pose_by(&mut scene, MEGASAM, |pose| pose.inverse());
+    let findings = check(&scene, When::Auto);
+    let mut all = findings.iter();
+    let found = all.find(|f| f.text.contains("with poses as world-to-camera poses"));
+    let found = found.unwrap_or_else(|| panic!("{findings:?}"));
+    assert!(!found.text.contains("depth times"), "{found:?}");
+}
+
 #[test]
 fn no_mistake_is_passed_over() {
     for (scene_name, scene) in scenes() {
@@ -302,6 +357,20 @@ fn a_single_frame_that_is_elsewhere_is_named() {
 }
 
 #[test]
+fn frames_without_depth_are_not_blamed_for_it() {
+    let (_, mut scene) = scenes().swap_remove(0);
+    for frame in &mut scene.frames[5..12] {
+        frame.depth.as_mut().expect("depth").values.fill(0.0);
+    }
+    let findings = check(&scene, When::Auto);
+    let single = findings.iter().find(|f| f.what == "single frames");
+    assert!(
+        single.is_some_and(|f| f.verdict == Verdict::Pass),
+        "{findings:?}"
+    );
+}
+
+#[test]
 fn movers_that_cannot_be_lifted_are_an_error_that_says_what_is_missing() {
     let (_, demo) = scenes().swap_remove(0);
     for nothing in [0.0, -1.0] {
@@ -326,4 +395,36 @@ fn tracks_that_cannot_be_lifted_are_an_error_with_their_numbers() {
         panic!("{error}");
     };
     assert!(found.visible > 0 && found.inside == 0, "{found}");
+}
+
+/// Training scores the scene that it surveyed, `limpid eval` the one that it reads, which still has masks that were left out.
+#[test]
+fn a_run_has_the_same_kernel_scores_on_the_scene_as_it_was_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut scene = tiny::scene();
+    let truth = &mut scene.truth_folders;
+    truth.depth = folder.path().join("depth");
+    truth.exposure = folder.path().join("exposure");
+    let still = [
+        1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0_f32,
+    ];
+    for frame in &mut scene.frames {
+        let file = format!("{}.npy", frame.view.name);
+        let depth = frame.depth.as_ref().expect("depth");
+        let sides = [depth.height, depth.width];
+        write_npy(&truth.depth.join(&file), &sides, &depth.values).expect("written");
+        write_npy(&truth.exposure.join(&file), &[1, 3, 4], &still).expect("written");
+        // The left half.
+        let mask = frame.mask.as_mut().expect("a mask");
+        let moves = |i: usize| f32::from(u8::from(i % mask.width < mask.width / 2));
+        mask.values = (0..mask.values.len()).map(moves).collect();
+    }
+    let mut settings = Settings::default();
+    settings.motion.when = When::Never;
+    settings.blur.model = BlurKind::Off;
+    let trainer = Trainer::new(scene.clone(), settings, &Device::flex()).expect("a trainer");
+    let own = trainer.evaluate().expect("scores").kernels;
+    let as_read = trainer.run().evaluate(&scene, None).expect("scores");
+    assert!(own.is_some_and(|kernels| kernels.count > 0), "{own:?}");
+    assert_eq!(own, as_read.kernels);
 }

@@ -3,7 +3,9 @@
 use burn::tensor::{DType, Device, Tensor};
 use capture::{Capture, samples};
 use glam::{DAffine3, DMat3, DVec2, DVec3};
+use host::product;
 use io::{Frame, Image, Map, Scene, View};
+use limpid_tests::folder::write_npy;
 use limpid_tests::{quick_devices, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Splats, Transfer, Viewpoint, expose, pose_rows, render};
 use std::path::Path;
@@ -46,7 +48,7 @@ fn slanted_wall(grow: f64, device: &Device) -> Splats {
         DType::F32,
     );
     Splats {
-        means: means.clone() + means.matmul(slope),
+        means: means.clone() + product(means, slope),
         quats: rows(&splats.quats),
         left_rotations: None,
         log_scales: rows(&splats.log_scales) + grow,
@@ -143,17 +145,8 @@ fn true_kernels_make_the_blurry_picture_of_the_sharp_one() {
     }
 }
 
-/// An array in npy's format, [n, 3, 4] or [H, W].
-fn write_npy(path: &Path, shape: &[usize], values: &[f64]) {
-    let shape: String = shape.iter().map(|side| format!("{side}, ")).collect();
-    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}");
-    let header = format!("{header:<117}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend(u16::try_from(header.len()).expect("short").to_le_bytes());
-    bytes.extend(header.bytes());
-    bytes.extend(values.iter().flat_map(|v| (*v as f32).to_le_bytes()));
-    std::fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-    std::fs::write(path, bytes).expect("written");
+fn f32s(values: &[f64]) -> Vec<f32> {
+    values.iter().map(|v| *v as f32).collect()
 }
 
 /// The frames as a scene whose truth is in `folder`.
@@ -167,11 +160,14 @@ fn scene(folder: &Path, device: &Device) -> Scene {
         let taken = taken(index, (1, 0.4), device);
         let name = format!("{index:05}");
         let file = format!("{name}.npy");
-        write_npy(&folders.depth.join(&file), &[H, W], &taken.depth);
         let rows: Vec<f64> = taken.cameras.iter().flat_map(pose_rows).collect();
         let shape = [taken.cameras.len(), 3, 4];
-        write_npy(&folders.exposure.join(&file), &shape, &rows);
-        let f32s = |values: &[f64]| values.iter().map(|v| *v as f32).collect();
+        for (folder, shape, values) in [
+            (&folders.depth, &[H, W][..], &taken.depth),
+            (&folders.exposure, &shape[..], &rows),
+        ] {
+            write_npy(&folder.join(&file), shape, &f32s(values)).expect("written");
+        }
         Frame {
             view: View {
                 name,
@@ -240,7 +236,7 @@ fn kernels_are_scored_where_they_are_known_and_the_camera_finds_them() {
     let still = pose_rows(&DAffine3::IDENTITY);
     for index in 0..FRAMES {
         let file = scene.truth_folders.exposure.join(format!("{index:05}.npy"));
-        write_npy(&file, &[1, 3, 4], &still);
+        write_npy(&file, &[1, 3, 4], &f32s(&still)).expect("written");
     }
     let best = trained(BlurKind::Off, 1);
     for score in [best.as_found, best.centred] {

@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DQuat, DVec2, DVec3};
 use io::{LoadOptions, Scene};
+use limpid_tests::largest;
 use splat_core::{Camera, camera_center};
 use std::path::Path;
 use unseen_views::{
@@ -93,8 +94,7 @@ fn warp_from(camera: &Camera, from: &DAffine3, to: &DAffine3) -> Warped {
 fn compare(camera: &Camera, warped: &Warped, to: &DAffine3) {
     let truth = look(camera, to);
     let mask = warped.mask.as_ref().expect("a mask went in");
-    let (mut color_error, mut depth_error) = (0.0_f32, 0.0_f32);
-    let (mut sum, mut count) = (0.0, 0.0);
+    let (mut color_errors, mut depth_errors) = (Vec::new(), Vec::new());
     for y in 1..camera.height - 1 {
         for x in 1..camera.width - 1 {
             let pixel = y * camera.width + x;
@@ -110,15 +110,17 @@ fn compare(camera: &Camera, warped: &Warped, to: &DAffine3) {
             );
             for c in 0..3 {
                 let error = (warped.color[3 * pixel + c] - truth.color[3 * pixel + c]).abs();
-                color_error = color_error.max(error);
-                sum += error;
-                count += 1.0;
+                color_errors.push(f64::from(error));
             }
-            let relative = (warped.depth[pixel] / truth.depth[pixel] - 1.0).abs();
-            depth_error = depth_error.max(relative);
+            let relative = warped.depth[pixel] / truth.depth[pixel] - 1.0;
+            depth_errors.push(f64::from(relative));
         }
     }
-    let mean = sum / count;
+    // Nothing but silhouettes, holes and the border is left out.
+    let compared = depth_errors.len() as f64 / warped.valid.len() as f64;
+    assert!(compared > 0.4, "{compared} of all pixels");
+    let mean = color_errors.iter().sum::<f64>() / color_errors.len() as f64;
+    let (color_error, depth_error) = (largest(color_errors), largest(depth_errors));
     assert!(
         mean < 0.005 && color_error < 0.12 && depth_error < 0.03,
         "colour is off by {mean} (mean) and {color_error} (most), depth by {depth_error}"
@@ -199,15 +201,4 @@ fn the_demo_keeps_its_floor_at_every_size() {
             "1/{downscale}: {on_edge} of {floor} pixels of the floor are on an edge"
         );
     }
-}
-
-#[test]
-fn the_same_input_gives_the_same_bits() {
-    let camera = camera();
-    let (a, b) = (path(0.0), path(1.5));
-    assert_eq!(
-        warp_from(&camera, &a, &b),
-        warp_from(&camera, &a, &b),
-        "two warps of one picture"
-    );
 }

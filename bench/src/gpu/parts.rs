@@ -14,6 +14,9 @@ use crate::workload::{SAMPLES, Workload};
 
 type Failure = Box<dyn Error>;
 
+/// Length of the path of an exposure, px; its samples stand in the middles of equal parts of it.
+const PATH_PX: f64 = 3.0;
+
 /// Times of something; the device has done all of it each time the clock is read.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Times {
@@ -148,14 +151,7 @@ pub fn time_exposure(
     let splats = leaves(workload, device)?;
     let middle = viewpoint(workload, &splats);
     let focal = workload.camera().fx;
-    let poses: Vec<f64> = (0..SAMPLES)
-        .flat_map(|i| {
-            let mut pose = DAffine3::IDENTITY;
-            let place = (i as f64 + 0.5) / SAMPLES as f64 - 0.5;
-            pose.translation.x = 3.0 * place / focal;
-            pose_rows(&pose)
-        })
-        .collect();
+    let poses: Vec<f64> = poses(focal).iter().flat_map(pose_rows).collect();
     let poses = TensorData::new(poses, [SAMPLES, 3, 4]);
     let options = (&device.clone().autodiff(), DType::F32);
     let poses = Tensor::<3>::from_data(poses, options).require_grad();
@@ -170,6 +166,16 @@ pub fn time_exposure(
         let mut found = gradients(&splats, &grads);
         found.extend(poses.grad(&grads).map(|g| g.flatten(0, 2)));
         Ok(found)
+    })
+}
+
+/// Poses of the samples of a path along x, as long at every depth: shears, which small turns of a camera nearly are.
+fn poses(focal: f64) -> [DAffine3; SAMPLES] {
+    std::array::from_fn(|i| {
+        let mut pose = DAffine3::IDENTITY;
+        let place = (i as f64 + 0.5) / SAMPLES as f64 - 0.5;
+        pose.matrix3.z_axis.x = PATH_PX * place / focal;
+        pose
     })
 }
 
@@ -205,6 +211,24 @@ fn viewpoint(workload: &Workload, splats: &Splats) -> Viewpoint {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
+    use splat_core::Camera;
+
+    #[test]
+    fn a_path_is_as_long_at_every_depth() {
+        let camera = Camera::pinhole([64, 36], [50.0; 2], [32.0, 18.0]);
+        for depth in [0.5, 2.0, 8.0] {
+            let point = DVec3::new(-0.1, 0.2, 1.0) * depth;
+            let seen = poses(camera.fx).map(|pose| camera.project(pose.transform_point3(point)));
+            let steps = seen.windows(2).map(|pair| pair[1] - pair[0]);
+            for step in steps {
+                let off = step.x - PATH_PX / SAMPLES as f64;
+                assert!(off.abs() < 1e-12 && step.y == 0.0, "{depth}: {step}");
+            }
+            let middle = 0.5 * (seen[0] + seen[SAMPLES - 1]);
+            assert!(middle.abs_diff_eq(camera.project(point), 1e-12), "{depth}");
+        }
+    }
 
     #[test]
     fn a_refusal_keeps_its_text() {

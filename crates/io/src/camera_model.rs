@@ -258,9 +258,7 @@ mod tests {
         let fisheye = displacement(Distortion::Fisheye { k: [0.0; 4] });
         assert!((fisheye - 100.0 * (r - r.atan())).abs() < 1e-9);
         let fov = displacement(Distortion::Fov { omega: 0.8 });
-        assert!(
-            (fov - 100.0 * ((2.0 * r * 0.4f64.tan()).atan() / 0.8 - r).abs()) < 1e-9 || fov > 1.0
-        );
+        assert!((fov - 100.0 * ((2.0 * r * 0.4f64.tan()).atan() / 0.8 - r).abs()).abs() < 1e-9);
         assert!(displacement(radial(f64::NAN, 0.0)).is_nan(), "not ignored");
     }
 

@@ -16,11 +16,12 @@
 
 use std::path::Path;
 
-use glam::{DAffine3, DMat3, DQuat, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
 
 use crate::IoError;
 use crate::json::read_json;
+use crate::rotation::nearest_rotation;
 
 /// A place of the camera on its path.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,14 +94,11 @@ pub fn read_key_frames(path: &Path) -> Result<Vec<KeyFrame>, IoError> {
 /// The pose with these rows; `None` where they are none. Rounded numbers become the nearest rotation.
 fn pose(rows: &[f64; 12]) -> Option<DAffine3> {
     let column = |c: usize| DVec3::new(rows[c], rows[4 + c], rows[8 + c]);
-    let rotation = DMat3::from_cols(column(0), column(1), column(2));
-    let excess = rotation.transpose() * rotation - DMat3::IDENTITY;
-    // Also false where a number is none.
-    let is_rotation = excess.to_cols_array().iter().all(|v| v.abs() < 1e-2)
-        && rotation.determinant() > 0.0
-        && column(3).is_finite();
-    let quat = is_rotation.then(|| DQuat::from_mat3(&rotation).normalize())?;
-    Some(DAffine3::from_rotation_translation(quat, column(3)))
+    let rotation = nearest_rotation(DMat3::from_cols(column(0), column(1), column(2)))?;
+    let translation = column(3);
+    translation
+        .is_finite()
+        .then(|| DAffine3::from_mat3_translation(rotation, translation))
 }
 
 #[cfg(test)]

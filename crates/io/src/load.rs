@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use crate::error::list_names;
 use crate::folder::{PICTURES, list};
-use crate::mask::read_map_for;
+use crate::mask::{read_map_for, settle};
 use crate::notes::note;
 use crate::npy::read_npy;
-use crate::picture::{has_aspect, read_depth_png, read_image_for};
+use crate::picture::{Size, has_aspect, read_depth_png, read_image_for, read_size_for};
 use crate::plan::{DepthFile, MaskFile, Picture, Plan, PlannedFrame, PlannedView};
 use crate::resample::{resize_nearest, shrink_camera, shrink_depth, shrink_image, shrink_map};
 use crate::{Frame, Image, IoError, LoadOptions, Map, Scene, Undistortion, View};
@@ -28,6 +28,8 @@ pub(crate) fn load(
         largest_mask: 0.0,
         notes: plan.notes,
     };
+    // The first frame's own picture, where another takes its place.
+    let mut own = None;
     if let Some(other) = &options.images {
         let folder = root.join(other);
         loader.note(format!(
@@ -37,7 +39,8 @@ pub(crate) fn load(
         let advice = "the other folder needs a picture for each training frame";
         let images = list(&folder, PICTURES)?.pick(&stems, &folder, "frames", advice)?;
         for (frame, image) in plan.frames.iter_mut().zip(images) {
-            frame.view.image = Picture::File(image);
+            let replaced = std::mem::replace(&mut frame.view.image, Picture::File(image));
+            own.get_or_insert(replaced);
         }
     }
     if options.static_scene {
@@ -64,14 +67,20 @@ pub(crate) fn load(
         undistorted.push(undone);
     }
     check_sizes(&plan.frames, &sizes)?;
+    loader.look_through_masks(&mut plan.frames, &sizes)?;
     let mut frames = Vec::with_capacity(views.len());
     for (((planned, view), size), undone) in
-        plan.frames.iter().zip(views).zip(sizes).zip(&undistorted)
+        plan.frames.iter().zip(views).zip(&sizes).zip(&undistorted)
     {
-        frames.push(loader.frame(planned, view, (size, undone.as_ref()))?);
+        frames.push(loader.frame(planned, view, (*size, undone.as_ref()))?);
     }
     if let Some(tracks) = &mut tracks {
-        tracks.follow_pictures(&undistorted, options.downscale);
+        let first = plan.frames.first().zip(sizes.first());
+        let scale = match (&own, first) {
+            (Some(own), Some((frame, &size))) => loader.scale_of_tracks(own, &frame.view, size)?,
+            _ => [1.0, 1.0],
+        };
+        tracks.follow_pictures(scale, &undistorted, options.downscale);
     }
     let mut test = Vec::with_capacity(plan.test.len());
     for planned in &plan.test {
@@ -86,7 +95,6 @@ pub(crate) fn load(
     if undistorted.iter().all(Option::is_none) {
         undistorted.clear();
     }
-    settle_masks(&mut frames, loader.largest_mask, &mut notes);
     let masked = frames.iter().any(|f| f.mask.is_some());
     if masked && tracks.is_none() {
         return Err(IoError::MasksWithoutTracks {
@@ -177,45 +185,12 @@ fn all_or_none(
     Err(IoError::missing(place, what, advice))
 }
 
-/// Masks that are empty in every frame count as none; masks stored as 0 and 1 of 255 are stretched; in
-/// masks that hold small numbers (of instances, say) everything above 0 moves.
-fn settle_masks(frames: &mut [Frame], largest: f32, notes: &mut Vec<String>) {
-    const ONE_STEP: f32 = 1.0 / 255.0;
-    if frames.iter().all(|f| f.mask.is_none()) {
-        return;
-    }
-    if largest < 0.5 * ONE_STEP {
-        notes.push("the masks are empty in every frame: nothing moves".into());
-        for frame in frames {
-            frame.mask = None;
-        }
-        return;
-    }
-    let settle: &dyn Fn(f32) -> f32 = if largest < 1.5 * ONE_STEP {
-        notes.push("the masks hold 0 and 1 of 255: read as 0 and 255".into());
-        &|value| value / largest
-    } else if largest <= 0.5 {
-        notes.push(format!(
-            "the masks' largest value is {:.0} of 255: read as numbers of instances, all above 0 moves",
-            255.0 * largest
-        ));
-        &|value| f32::from(value >= 0.5 * ONE_STEP)
-    } else {
-        return;
-    };
-    for mask in frames.iter_mut().filter_map(|f| f.mask.as_mut()) {
-        for value in &mut mask.values {
-            *value = settle(*value);
-        }
-    }
-}
-
 /// Reads files and makes them smaller.
 struct Loader {
     factor: usize,
     inverted_masks: bool,
     refuses_distortion: bool,
-    /// Largest value of all masks at their own size.
+    /// Largest value of all masks, or of some where that is over a half, at their pictures' size.
     largest_mask: f32,
     notes: Vec<String>,
 }
@@ -253,7 +228,7 @@ impl Loader {
         let depth = planned.depth.as_ref();
         let depth = depth.map(|file| self.depth(file, size)).transpose()?;
         let mask = planned.mask.as_ref();
-        let mask = mask.map(|file| self.mask(file, size)).transpose()?;
+        let mask = mask.map(|file| self.settled_mask(file, size)).transpose()?;
         let (depth, mask) = match undone {
             Some(undone) => (
                 depth.map(|depth| undone.depth(&depth)),
@@ -373,13 +348,69 @@ impl Loader {
             MaskFile::Loaded { mask, archive } => (mask.clone(), archive),
         };
         let mut map = self.resized(map, "mask", path, size)?;
-        for value in &mut map.values {
-            if self.inverted_masks {
+        if self.inverted_masks {
+            for value in &mut map.values {
                 *value = if *value > 0.0 { 0.0 } else { 1.0 };
             }
-            self.largest_mask = self.largest_mask.max(*value);
         }
         Ok(map)
+    }
+
+    /// Finds the masks' largest value, which says how all are to be read, and drops them where they are empty in every frame. They
+    /// are not kept, for they are large, but read once more later; mostly the first is enough, as a half is no small number.
+    fn look_through_masks(
+        &mut self,
+        frames: &mut [PlannedFrame],
+        sizes: &[Size],
+    ) -> Result<(), IoError> {
+        if frames.iter().all(|f| f.mask.is_none()) {
+            return Ok(());
+        }
+        for (frame, &size) in frames.iter().zip(sizes) {
+            if let Some(file) = &frame.mask {
+                let values = self.mask(file, size)?.values;
+                self.largest_mask = values.into_iter().fold(self.largest_mask, f32::max);
+            }
+            if self.largest_mask > 0.5 {
+                return Ok(());
+            }
+        }
+        if self.largest_mask < 0.5 / 255.0 {
+            self.note("the masks are empty in every frame: nothing moves".into());
+            frames.iter_mut().for_each(|f| f.mask = None);
+        }
+        Ok(())
+    }
+
+    /// A mask whose numbers of instances, if it has any, are 1. So it is before its lens is undone and before it is made smaller:
+    /// no mean of such numbers says how much of a pixel moves.
+    fn settled_mask(&mut self, file: &MaskFile, size: Size) -> Result<Map, IoError> {
+        let mut map = self.mask(file, size)?;
+        if let Some(told) = settle(std::iter::once(&mut map), self.largest_mask) {
+            self.note(told);
+        }
+        Ok(map)
+    }
+
+    /// How much larger the training frames are, across and down, than the scene's own pictures, of which tracks are.
+    fn scale_of_tracks(
+        &mut self,
+        own: &Picture,
+        first: &PlannedView,
+        size: Size,
+    ) -> Result<[f64; 2], IoError> {
+        let camera = &first.lens.camera;
+        let own = match own {
+            Picture::File(path) => read_size_for(path, Some((camera.width, camera.height)))?,
+            Picture::Loaded { size, .. } => *size,
+        };
+        if own != size {
+            self.note(format!(
+                "tracks were scaled from {}x{}, the size of the scene's own pictures, to {}x{}",
+                own.0, own.1, size.0, size.1
+            ));
+        }
+        Ok([size.0 as f64 / own.0 as f64, size.1 as f64 / own.1 as f64])
     }
 
     /// A map of the same field of view at its picture's `size`: tools and sensors have sizes of their own.

@@ -63,6 +63,32 @@ pub(crate) fn read_map_for(
     })
 }
 
+/// Brings maps that belong together, the largest of whose values at their files' own size is `largest`, to [0, 1], and says how:
+/// what is stored as 0 and 1 of 255 is stretched, and of small numbers (of instances, say) all above 0 counts. `None` where they
+/// are as they should be, or empty.
+pub(crate) fn settle<'a>(maps: impl Iterator<Item = &'a mut Map>, largest: f32) -> Option<String> {
+    const ONE_STEP: f32 = 1.0 / 255.0;
+    if !(0.5 * ONE_STEP..=0.5).contains(&largest) {
+        return None;
+    }
+    let is_stretched = largest < 1.5 * ONE_STEP;
+    for value in maps.flat_map(|map| &mut map.values) {
+        *value = if is_stretched {
+            *value / largest
+        } else {
+            f32::from(*value >= 0.5 * ONE_STEP)
+        };
+    }
+    Some(if is_stretched {
+        "the masks hold 0 and 1 of 255: read as 0 and 255".to_owned()
+    } else {
+        format!(
+            "the masks' largest value is {:.0} of 255: read as numbers of instances, all above 0 moves",
+            255.0 * largest
+        )
+    })
+}
+
 /// Whether pixels [N, C] are of several colours and not only greys, as where each instance has one of its own; a JPEG's greys are
 /// not quite grey.
 fn is_coloured(pixels: &[f32], channels: usize) -> bool {
@@ -136,6 +162,28 @@ mod tests {
             (vec![0.0, 0.0], 0),
             "and nothing to tell"
         );
+    }
+
+    #[test]
+    fn what_is_stored_as_small_numbers_is_brought_to_the_whole_range() {
+        let settled = |steps: [f32; 3]| {
+            let values = steps.map(|step| step / 255.0).to_vec();
+            let largest = values.iter().copied().fold(0.0, f32::max);
+            let mut maps = [Map {
+                width: 3,
+                height: 1,
+                values,
+            }];
+            let note = settle(maps.iter_mut(), largest);
+            let [map] = maps;
+            (map.values, note.is_some())
+        };
+        assert_eq!(settled([0.0, 1.0, 0.5]), (vec![0.0, 1.0, 0.5], true));
+        assert_eq!(settled([0.0, 1.0, 7.0]), (vec![0.0, 1.0, 1.0], true));
+        for as_is in [[0.0, 0.0, 0.0], [0.0, 255.0, 51.0]] {
+            let values = as_is.map(|step| step / 255.0).to_vec();
+            assert_eq!(settled(as_is), (values, false), "{as_is:?}");
+        }
     }
 
     #[test]

@@ -104,8 +104,7 @@ pub(crate) fn decode_upright(
         return Ok(picture);
     }
     let stored = (picture.width() as usize, picture.height() as usize);
-    let fit = |size| expected.map(|expected| (size == expected, has_aspect(size, expected)));
-    if fit(stored) > fit(turned(stored, orientation)) {
+    if stays(stored, orientation, expected) {
         note(
             notes,
             "EXIF data wants pictures turned: they are not, as their cameras have the size of the stored pixels",
@@ -115,6 +114,12 @@ pub(crate) fn decode_upright(
     note(notes, "pictures are turned as their EXIF data says");
     picture.apply_orientation(orientation);
     Ok(picture)
+}
+
+/// Whether a picture of this size fits the `expected` one as it is stored and not as its EXIF data wants it turned.
+fn stays(stored: Size, orientation: Orientation, expected: Option<Size>) -> bool {
+    let fit = |size| expected.map(|expected| (size == expected, has_aspect(size, expected)));
+    fit(stored) > fit(turned(stored, orientation))
 }
 
 /// A size once it is turned.
@@ -152,6 +157,11 @@ fn is_whole(data: &[u8], format: Option<ImageFormat>) -> bool {
 
 /// A picture's width and height once it is turned as its EXIF data says, from its header alone.
 pub(crate) fn read_size(path: &Path) -> Result<Size, IoError> {
+    read_size_for(path, None)
+}
+
+/// As [`read_size`], for a camera of this size or a multiple of it: what fits it only as it is stored is not turned.
+pub(crate) fn read_size_for(path: &Path, expected: Option<Size>) -> Result<Size, IoError> {
     check_regular(path)?;
     let open = || ImageReader::open(path)?.with_guessed_format();
     let reader = open().map_err(|e| IoError::access(path, e))?;
@@ -159,7 +169,12 @@ pub(crate) fn read_size(path: &Path) -> Result<Size, IoError> {
     let mut decoder = reader.into_decoder().map_err(bad)?;
     let (width, height) = decoder.dimensions();
     let orientation = decoder.orientation().map_err(bad)?;
-    Ok(turned((width as usize, height as usize), orientation))
+    let stored = (width as usize, height as usize);
+    Ok(if stays(stored, orientation, expected) {
+        stored
+    } else {
+        turned(stored, orientation)
+    })
 }
 
 /// Reads a PNG or JPEG as sRGB in [0, 1], turned as its EXIF data says. Grey is repeated over the channels, alpha is dropped.
@@ -415,8 +430,10 @@ mod tests {
         for expected in [None, Some((2, 4)), Some((100, 200)), Some((7, 7))] {
             assert_eq!(read(expected), ((2, 4), 4, true), "{expected:?}");
         }
-        assert_eq!(read(Some((200, 100))), stored);
-        assert_eq!(read(Some((4, 2))), stored);
+        for expected in [(200, 100), (4, 2)] {
+            assert_eq!(read(Some(expected)), stored);
+            assert_eq!(read_size_for(&path, Some(expected)).unwrap(), (4, 2));
+        }
         with_exif(&path, Orientation::Rotate270);
         assert_eq!(read(None), ((2, 4), 3, true));
         with_exif(&path, Orientation::Rotate180);

@@ -15,7 +15,7 @@ pub struct LoadOptions {
     /// Sides that are no multiple of it are cropped at the right and at the bottom.
     pub downscale: usize,
     /// Takes the training frames from this folder (relative to the scene) instead of their own, by
-    /// file stem. Everything else stays.
+    /// file stem. Everything else stays, brought to their size.
     pub images: Option<PathBuf>,
     /// Nothing moves: masks and tracks are not read, and need not be complete.
     pub static_scene: bool,

@@ -47,10 +47,12 @@ impl Tracks {
         samples / self.num_frames.max(1)
     }
 
-    /// Undoes the training frames' lenses and makes the frames smaller. A point that no undistorted
-    /// picture can show stays where it is and is hidden.
+    /// Brings positions to the training frames' size, which is `scale` times that of the pictures they were made of (across and
+    /// down), undoes the frames' lenses, and makes the frames smaller. A point that no undistorted picture can show stays where it
+    /// is and is hidden.
     pub(crate) fn follow_pictures(
         &mut self,
+        scale: [f64; 2],
         undistorted: &[Option<Undistortion>],
         downscale: usize,
     ) {
@@ -58,8 +60,13 @@ impl Tracks {
         const HIDDEN: f32 = 100.0;
         let samples = self.queries.iter_mut().flat_map(|q| &mut q.samples);
         for (at, sample) in samples.enumerate() {
+            let [x, y] = [
+                f64::from(sample.x) * scale[0],
+                f64::from(sample.y) * scale[1],
+            ];
+            (sample.x, sample.y) = (x as f32, y as f32);
             if let Some(Some(lens)) = undistorted.get(at % self.num_frames) {
-                match lens.point(f64::from(sample.x), f64::from(sample.y)) {
+                match lens.point(x, y) {
                     Some((x, y)) => (sample.x, sample.y) = (x as f32, y as f32),
                     None => sample.occlusion = HIDDEN,
                 }

@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use crate::folder::{PICTURES, list};
 use crate::load::read_array_map;
-use crate::mask::read_map_for;
+use crate::mask::{read_map_for, settle};
 use crate::npy::read_npy;
 use crate::picture::{Size, read_image_for};
 use crate::resample::{shrink_depth, shrink_image, shrink_map};
@@ -20,7 +20,8 @@ pub struct Truth {
     /// `truth/covisible`: 1 where a test view's pixel is seen by some training frame, one per test
     /// view. Downscaled by area, so that a value under 1 has some pixel in it that is not.
     pub covisible: Option<Vec<Map>>,
-    /// `truth/masks_test`: 1 where a test view shows something that moves, one per test view.
+    /// `truth/masks_test`: 1 where a test view shows something that moves, one per test view. Both are read by the rule of
+    /// training masks where they hold small numbers: 0 and 1 of 255 are stretched, and of others all above 0 counts.
     pub masks_test: Option<Vec<Map>>,
     /// `truth/exposure` and `truth/depth`: how the training frames were blurred, one per frame.
     pub exposures: Option<Vec<TrueExposure>>,
@@ -66,17 +67,22 @@ impl Scene {
         let map = |path: &Path, size, undone: Option<&Undistortion>| {
             let map = read_map_for(path, Some(size), &mut Vec::new())?;
             let found = (map.width, map.height);
+            let largest = map.values.iter().copied().fold(0.0, f32::max);
             let map = match undone {
                 Some(undone) => undone.map(&map),
                 None => map,
             };
-            Ok((found, shrink_map(map, factor)))
+            Ok((found, (shrink_map(map, factor), largest)))
         };
         let folders = &self.truth_folders;
         Ok(Truth {
             sharp,
-            covisible: self.part((&folders.covisible, PICTURES), &test, map)?,
-            masks_test: self.part((&folders.masks_test, PICTURES), &test, map)?,
+            covisible: self
+                .part((&folders.covisible, PICTURES), &test, map)?
+                .map(settled),
+            masks_test: self
+                .part((&folders.masks_test, PICTURES), &test, map)?
+                .map(settled),
             exposures: self.exposures(&training)?,
         })
     }
@@ -139,6 +145,13 @@ impl Scene {
     }
 }
 
+/// Maps, read by the rule of training masks; each comes with its largest value at its file's own size.
+fn settled(read: Vec<(Map, f32)>) -> Vec<Map> {
+    let (mut maps, largest): (Vec<Map>, Vec<f32>) = read.into_iter().unzip();
+    settle(maps.iter_mut(), largest.into_iter().fold(0.0, f32::max));
+    maps
+}
+
 /// Endings of arrays.
 const ARRAYS: &[&str] = &["npy"];
 
@@ -180,4 +193,68 @@ fn cameras(path: &Path) -> Result<Vec<DAffine3>, IoError> {
         usable.then_some(camera).ok_or_else(wrong)
     });
     cameras.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use splat_core::Camera;
+
+    /// Two test views of 4 x 2 px, made half as large as their files.
+    fn scene(root: &Path) -> Scene {
+        let view = |name: &str| View {
+            name: name.to_owned(),
+            camera: Camera::pinhole([4, 2], [4.0; 2], [2.0, 1.0]),
+            cam_from_world: DAffine3::IDENTITY,
+            time: 0.0,
+            image: Image {
+                width: 4,
+                height: 2,
+                pixels: vec![0.0; 3 * 4 * 2],
+            },
+        };
+        Scene {
+            downscale: 2,
+            test: vec![view("a"), view("b")],
+            truth_folders: crate::TruthFolders::of(root),
+            ..Scene::of_frames(Vec::new())
+        }
+    }
+
+    /// Writes both maps of each view, of which only the second has anything: `left` in its first five columns of eight.
+    fn write(root: &Path, left: u8) {
+        for folder in ["covisible", "masks_test"].map(|name| root.join("truth").join(name)) {
+            std::fs::create_dir_all(&folder).unwrap();
+            for (name, value) in [("a.png", 0), ("b.png", left)] {
+                let map = image::GrayImage::from_fn(8, 4, |x, _| {
+                    image::Luma([if x < 5 { value } else { 0 }])
+                });
+                map.save(folder.join(name)).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn maps_that_hold_small_numbers_are_read_as_those_that_hold_255() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let read = |left: u8| {
+            write(root, left);
+            let truth = scene(root).truth().unwrap();
+            [truth.covisible, truth.masks_test].map(|maps| {
+                let maps = maps.unwrap().into_iter();
+                maps.map(|map| map.values[..4].to_vec()).collect::<Vec<_>>()
+            })
+        };
+        let [nothing, half]: [[f32; 4]; 2] = [[0.0; 4], [1.0, 1.0, 0.5, 0.0]];
+        for left in [255, 1] {
+            let rows = vec![nothing.to_vec(), half.to_vec()];
+            assert_eq!(read(left), [rows.clone(), rows], "{left} of 255");
+        }
+        // Numbers of instances: any is something.
+        for rows in read(3) {
+            assert_eq!(rows[0], nothing);
+            assert_eq!((rows[1][0], rows[1][1], rows[1][3]), (1.0, 1.0, 0.0));
+        }
+    }
 }

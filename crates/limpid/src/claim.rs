@@ -16,7 +16,10 @@ pub(crate) fn claimed(named: Option<&Path>, run: &Path, own: &str) -> Result<Pat
         return Ok(folder.to_owned());
     }
     let folder = run.join(own);
-    fs::create_dir_all(&folder).map_err(|e| format!("{e}: {}", folder.display()))?;
+    let at = |e: std::io::Error| format!("{e}: {}", folder.display());
+    fs::create_dir_all(&folder).map_err(at)?;
+    // So that it may be named too.
+    fs::write(folder.join(MARK), MARK_TEXT).map_err(at)?;
     Ok(folder)
 }
 
@@ -47,6 +50,21 @@ fn claim(folder: &Path) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_run_s_own_folder_may_be_named_too() -> Result<(), Box<dyn std::error::Error>> {
+        let run = tempfile::tempdir()?;
+        // With what training left in it.
+        fs::create_dir_all(run.path().join("renders/train"))?;
+        for own in ["export", "renders"] {
+            for _ in 0..2 {
+                let folder = claimed(None, run.path(), own)?;
+                fs::write(folder.join("at_1.png"), "ours")?;
+                assert_eq!(claimed(Some(&folder), run.path(), own)?, folder);
+            }
+        }
+        Ok(())
+    }
 
     #[test]
     fn a_folder_is_ours_if_it_was_new_or_empty() -> Result<(), Box<dyn std::error::Error>> {

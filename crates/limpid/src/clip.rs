@@ -1,6 +1,6 @@
 //! `limpid render --path`: pictures along a path of the camera, and a video of them.
 
-use crate::failure::Failure;
+use crate::failure::{Failure, refuse_idle};
 use crate::moments::{Moments, within};
 use crate::numbered::Numbered;
 use crate::say::say;
@@ -27,15 +27,14 @@ pub(crate) struct ClipArguments {
         allow_negative_numbers = true
     )]
     freeze: Option<f32>,
-    /// With --path ellipse or spiral: go so many times as far out as the camera did.
+    /// With --path ellipse or spiral: go so many times as far out as the camera did [default: 1].
     #[arg(
         long,
         value_name = "TIMES",
         requires = "path",
-        default_value_t = 1.0,
         allow_negative_numbers = true
     )]
-    reach: f64,
+    reach: Option<f64>,
     /// With --path: what pictures show; several with commas between them.
     #[arg(
         long,
@@ -48,15 +47,14 @@ pub(crate) struct ClipArguments {
     /// With --path: make a video too, with the ffmpeg on this machine.
     #[arg(long, requires = "path")]
     video: bool,
-    /// With --path: pictures in a second of the video, and of key frames.
+    /// With --path: pictures in a second of the video, and of key frames [default: 24].
     #[arg(
         long,
         value_name = "FPS",
         requires = "path",
-        default_value_t = 24.0,
         allow_negative_numbers = true
     )]
-    fps: f64,
+    fps: Option<f64>,
 }
 
 /// What a picture shows.
@@ -90,6 +88,8 @@ impl ClipArguments {
     }
 }
 
+/// Pictures in a second, where nothing is said.
+const FPS: f64 = 24.0;
 /// Most pictures of a clip.
 const MOST: f64 = 100_000.0;
 
@@ -100,9 +100,8 @@ pub(crate) fn render(
     arguments: &ClipArguments,
     out: &Path,
 ) -> Result<(), Failure> {
-    let ClipArguments {
-        what, video, fps, ..
-    } = arguments;
+    let ClipArguments { what, video, .. } = arguments;
+    let fps = &arguments.fps.unwrap_or(FPS);
     if !(fps.is_finite() && *fps > 0.0) {
         return Err(format!("--fps {fps}: a number over 0 is expected").into());
     }
@@ -179,6 +178,7 @@ fn shots(
         freeze,
         reach,
         fps,
+        video,
         ..
     } = arguments;
     if let Some(time) = freeze {
@@ -188,13 +188,24 @@ fn shots(
         .to_str()
         .filter(|name| ["cameras", "ellipse", "spiral"].contains(name));
     let Some(name) = named else {
-        if moments.are_given() || *reach != 1.0 {
+        if moments.are_given() || reach.is_some() {
             return Err("--from, --to, --step and --reach go with the paths by name: key frames have their own times and places".into());
         }
         let name = path.file_stem().and_then(OsStr::to_str).unwrap_or("path");
-        return Ok((name.to_owned(), key_frames(run, path, *freeze, *fps)?));
+        return Ok((
+            name.to_owned(),
+            key_frames(run, path, *freeze, fps.unwrap_or(FPS))?,
+        ));
     };
-    if !(reach.is_finite() && *reach > 0.0) {
+    refuse_idle([
+        (
+            ("--reach", reach.is_some()),
+            (name != "cameras", "--path ellipse and spiral"),
+        ),
+        (("--fps", fps.is_some()), (*video, "--video and key frames")),
+    ])?;
+    let reach = reach.unwrap_or(1.0);
+    if !(reach.is_finite() && reach > 0.0) {
         return Err(format!("--reach {reach}: a number over 0 is expected").into());
     }
     let moments = moments.of(run)?;
@@ -212,7 +223,7 @@ fn shots(
         .iter()
         .map(|view| view.cam_from_world)
         .collect();
-    let orbit = Orbit::around(&cameras, run.survey().scene_size, *reach).ok_or_else(|| {
+    let orbit = Orbit::around(&cameras, run.survey().scene_size, reach).ok_or_else(|| {
         format!(
             "--path {name}: the cameras look in opposite directions, and have no middle to go round"
         )

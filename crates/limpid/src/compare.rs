@@ -5,6 +5,7 @@ mod pictures;
 mod read;
 mod table;
 
+use crate::config::Backend;
 use crate::failure::Failure;
 use crate::page::{COMPARISON, Page, held};
 use crate::say::{conclude, print, say};
@@ -27,6 +28,9 @@ pub(crate) struct CompareArguments {
     /// The page.
     #[arg(long, value_name = "FILE", default_value = "compare.html")]
     out: PathBuf,
+    /// Where tensors live, if a report is to be written first [default: where they did in training].
+    #[arg(long)]
+    backend: Option<Backend>,
 }
 
 /// What the page is told, as JSON.
@@ -69,7 +73,7 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<ExitCode, Failure> {
     let names = names(&arguments.runs)?;
     let runs = names.into_iter().zip(&arguments.runs);
     let runs: Vec<Compared> = runs
-        .map(|(name, folder)| Compared::open(name, folder))
+        .map(|(name, folder)| Compared::open(name, folder, arguments.backend))
         .collect::<Result<_, _>>()?;
     let likeness: Vec<Likeness> = runs
         .iter()

@@ -3,7 +3,8 @@
 use crate::config::{Config, RunOptions};
 use crate::failure::Failure;
 use crate::memory::mib;
-use std::io::Write as _;
+use crate::say::print;
+use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use trainer::{Gpu, Settings, Table};
@@ -48,7 +49,7 @@ fn need(arguments: &DevicesArguments) -> Result<Option<Need>, Failure> {
 
 pub(crate) fn run(arguments: &DevicesArguments) -> Result<ExitCode, Failure> {
     let need = need(arguments)?;
-    let mut out = std::io::stdout().lock();
+    let mut out = String::new();
     for (backend, is_here) in [
         ("flex", cfg!(feature = "flex")),
         ("ndarray", cfg!(feature = "ndarray")),
@@ -66,15 +67,12 @@ pub(crate) fn run(arguments: &DevicesArguments) -> Result<ExitCode, Failure> {
             list_gpus(&mut out, backend, need)?;
         }
     }
+    print(out.trim_end())?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Those that a runtime reaches.
-fn list_gpus(
-    out: &mut impl std::io::Write,
-    backend: &str,
-    need: Option<Need>,
-) -> Result<(), Failure> {
+fn list_gpus(out: &mut String, backend: &str, need: Option<Need>) -> Result<(), Failure> {
     let gpus: Vec<Gpu> = Gpu::found();
     let mut listed = gpus.iter().filter(|gpu| gpu.runtime == backend).peekable();
     if listed.peek().is_none() {

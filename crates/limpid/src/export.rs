@@ -7,7 +7,7 @@ use crate::failure::{Failure, refuse_idle};
 use crate::moments::{Moments, within};
 use crate::numbered::Numbered;
 use crate::say::{conclude, say};
-use io::{ExportedView, Gaussians, Glb, GlbPart, RigidMotion, SparsePoint};
+use io::{ExportedView, Gaussians, Glb, GlbPart, RigidMotion, SparsePoint, SpzLoss};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use trainer::{CameraView, Run};
@@ -137,10 +137,8 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
             Format::PlySequence => sequence(&moments, &out.join("ply"), posed)?,
             Format::Spz => {
                 for &time in stills {
-                    spz(
-                        &out.join(format!("scene_at_{time}.spz")),
-                        &posed(Some(time))?,
-                    )?;
+                    let path = out.join(format!("scene_at_{time}.spz"));
+                    spz(&path, &posed(Some(time))?, run.survey().scene_size)?;
                 }
             }
             Format::Glb if arguments.at.is_empty() => {
@@ -225,20 +223,50 @@ fn ply(path: &Path, gaussians: &Gaussians) -> Result<(), Failure> {
     written(path, |path| io::write_ply(path, gaussians))
 }
 
-fn spz(path: &Path, gaussians: &Gaussians) -> Result<(), Failure> {
+fn spz(path: &Path, gaussians: &Gaussians, scene_size: f64) -> Result<(), Failure> {
     let mut lost = None;
     written(path, |path| {
         lost = Some(io::write_spz(path, gaussians)?);
         Ok(())
     })?;
-    if let Some(lost) = lost.filter(|lost| lost.clipped_scales > 0) {
-        say!(
-            "note: {} of {} Gaussians are smaller or larger than SPZ holds (e^-10 to e^5.94 scene units), and were brought there",
-            lost.clipped_scales,
-            gaussians.len()
-        );
+    for note in lost
+        .iter()
+        .flat_map(|lost| lost_in_spz(lost, gaussians.len(), scene_size))
+    {
+        say!("note: {note}");
     }
     Ok(())
+}
+
+/// What an SPZ of so many Gaussians lost, as far as it could be seen.
+fn lost_in_spz(lost: &SpzLoss, count: usize, scene_size: f64) -> Vec<String> {
+    /// Steps of positions that are seen, as a share of the scene's size: about a pixel of a picture a thousand wide.
+    const COARSE: f64 = 1e-3;
+    let mut notes = Vec::new();
+    if f64::from(lost.position_step) > COARSE * scene_size {
+        notes.push(format!(
+            "SPZ rounds positions to {} scene units here, where the scene's size is {scene_size:.3}: it has 24 bits for all of them, \
+             and the farthest Gaussian is {:.0} units away; ply and glb hold positions as they are",
+            lost.position_step, lost.farthest,
+        ));
+    }
+    for (clipped, are) in [
+        (
+            lost.clipped_scales,
+            "are smaller or larger than SPZ holds (e^-10 to e^5.94 scene units)",
+        ),
+        (
+            lost.clipped_colors,
+            "have stronger colours than SPZ holds (-0.44 to 1.44 of white, and view-dependent coefficients of -1 to 0.99)",
+        ),
+    ] {
+        if clipped > 0 {
+            notes.push(format!(
+                "{clipped} of {count} Gaussians {are}, and were brought there"
+            ));
+        }
+    }
+    notes
 }
 
 fn still(name: &str, gaussians: Gaussians) -> GlbPart {
@@ -386,4 +414,44 @@ fn colmap(run: &Run, folder: &Path) -> Result<(), Failure> {
         views.len()
     );
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_an_spz_loses_is_told_where_it_could_be_seen() {
+        let fine = SpzLoss {
+            position_step: 0.5_f32.powi(20),
+            farthest: 7.0,
+            clipped_scales: 0,
+            clipped_colors: 0,
+        };
+        assert_eq!(lost_in_spz(&fine, 9, 4.0), Vec::<String>::new());
+        let coarse = SpzLoss {
+            position_step: 0.5_f32.powi(6),
+            farthest: 1e5,
+            ..fine
+        };
+        let told = lost_in_spz(&coarse, 9, 4.0).concat();
+        for part in ["0.015625 scene units", "100000 units away", "4.000"] {
+            assert!(told.contains(part), "{part}: {told}");
+        }
+        // A scene as large as that does not see the same step.
+        assert_eq!(lost_in_spz(&coarse, 9, 1e4), Vec::<String>::new());
+        let clipped = SpzLoss {
+            clipped_scales: 2,
+            clipped_colors: 3,
+            ..fine
+        };
+        let told = lost_in_spz(&clipped, 9, 4.0);
+        for (note, parts) in told
+            .iter()
+            .zip([["2 of 9", "larger"], ["3 of 9", "colours"]])
+        {
+            assert!(parts.iter().all(|part| note.contains(part)), "{note}");
+        }
+        assert_eq!(told.len(), 2);
+    }
 }

@@ -75,7 +75,7 @@ fn advice(need: u64, given: u64, downscale: usize) -> Option<String> {
     let share = (need as f64 / given.max(1) as f64).sqrt();
     let factor = (downscale as f64 * share).ceil().max(2.0);
     Some(format!(
-        "--downscale {factor:.0} would fit, about; a lower `gaussians.max_per_pixel` and, with kernels, `blur.downscale = 2` take less too"
+        "--downscale {factor:.0} would fit, about; lower `gaussians.max_per_pixel` and `gaussians.initial_static_per_pixel` and, with kernels, `blur.downscale = 2` take less too"
     ))
 }
 
@@ -116,19 +116,30 @@ fn address_space(text: &str) -> Option<u64> {
     line.split_whitespace().next()?.parse().ok()
 }
 
-/// The limit of the control group that `/proc/self/cgroup` names, of either version; `None` without one.
+/// The least limit of the control group that `/proc/self/cgroup` names, of either version, and of those that hold it; `None` without
+/// one.
 fn group_limit(text: &str) -> Option<u64> {
-    let limits = text.lines().filter_map(|line| {
+    let root = Path::new("/sys/fs/cgroup");
+    let groups = text.lines().filter_map(|line| {
         let (_, rest) = line.split_once(':')?;
         let (controllers, path) = rest.split_once(':')?;
-        let path = path.trim_start_matches('/');
-        let root = Path::new("/sys/fs/cgroup");
-        let file = match controllers {
-            "" => root.join(path).join("memory.max"),
-            "memory" => root.join("memory").join(path).join("memory.limit_in_bytes"),
-            _ => return None,
-        };
-        fs::read_to_string(file).ok()?.trim().parse::<u64>().ok()
+        match controllers {
+            "" => Some((root.to_owned(), "memory.max", path)),
+            "memory" => Some((root.join("memory"), "memory.limit_in_bytes", path)),
+            _ => None,
+        }
+    });
+    let limits = groups.filter_map(|(root, file, path)| least_limit(&root, file, path));
+    limits.min()
+}
+
+/// The least number in files of this name in the folder `path` below `root` and in those that hold it, `root` with them: a scheduler
+/// limits a job, and the process is in a group of its own within.
+fn least_limit(root: &Path, file: &str, path: &str) -> Option<u64> {
+    let groups = Path::new(path.trim_start_matches('/')).ancestors();
+    let limits = groups.filter_map(|group| {
+        let limit = fs::read_to_string(root.join(group).join(file)).ok()?;
+        limit.trim().parse().ok()
     });
     limits.min()
 }
@@ -151,6 +162,27 @@ mod tests {
         assert_eq!(address_space(&limits("4096")), Some(4096));
         assert_eq!(address_space(&limits("unlimited")), None);
         assert_eq!(group_limit("0::/no/such/group\nnonsense\n"), None);
+    }
+
+    #[test]
+    fn a_limit_of_any_group_that_holds_this_one_counts() {
+        let root = tempfile::tempdir().expect("a folder");
+        let put = |group: &str, limit: &str| {
+            let folder = root.path().join(group);
+            fs::create_dir_all(&folder).expect("a group");
+            fs::write(folder.join("memory.max"), limit).expect("its limit");
+        };
+        put("jobs/1/task", "max\n");
+        put("jobs/1", "4096\n");
+        put("jobs", "8192\n");
+        let of = |path: &str| least_limit(root.path(), "memory.max", path);
+        assert_eq!(of("/jobs/1/task"), Some(4096));
+        assert_eq!(
+            of("/jobs/2"),
+            Some(8192),
+            "there is no such group, but one that holds it"
+        );
+        assert_eq!(of("/"), None);
     }
 
     #[test]

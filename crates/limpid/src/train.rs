@@ -309,7 +309,9 @@ fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
     for profile in differences(&asked.defaults(), &Settings::default()) {
         config::insert(&mut table, &profile.setting, Value::try_from(profile.here)?);
     }
-    config::merge(&mut table, asked.table()?);
+    let own = asked.table()?;
+    let says_a_length = own.contains_key("iterations");
+    config::merge(&mut table, own);
     let scene = table.get("scene").and_then(Value::as_str).map(Path::new);
     let scene = scene.map(absolute).transpose()?;
     let out = asked.out(scene.as_deref())?;
@@ -322,7 +324,7 @@ fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
     let mut run = checkpoints::open(&out, &config)?;
     let edited = differences(&found.settings, run.settings());
     let trained = run.settings().iterations;
-    if asked.iterations.is_none() && config.settings.iterations < trained {
+    if !says_a_length && config.settings.iterations < trained {
         // It ended on its way back to a shorter length (`--until-done`), whose checkpoint was not there yet.
         say!("note: the checkpoint is that of a run of {trained} iterations, and is gone on with");
         config.settings.iterations = trained;

@@ -1,7 +1,10 @@
 //! The program on other backends than the first: what is built in, what there is, and what it says where something is missing.
 
+#[path = "common/skipped.rs"]
+mod skipped;
+
+use skipped::skipped;
 use std::error::Error;
-use std::io::Write as _;
 use std::process::{Command, Output};
 
 const DEMO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo");
@@ -10,11 +13,6 @@ fn output(arguments: &[&str]) -> std::io::Result<Output> {
     Command::new(env!("CARGO_BIN_EXE_limpid"))
         .args(arguments)
         .output()
-}
-
-/// Says that a test could not run: not through `eprintln!`, which the test harness catches.
-fn skipped(what: &str) -> std::io::Result<()> {
-    std::io::stderr().write_all(format!("skipped: {what}\n").as_bytes())
 }
 
 /// All backends that `--backend` knows, and whether this build has them; the first is the default.
@@ -40,7 +38,7 @@ fn a_run_is_scored_and_shown_by_every_backend_that_is_built_in() -> Result<(), B
             let tried = output(&[command, &out, "--backend", backend])?;
             let said = String::from_utf8_lossy(&tried.stderr);
             if is_built && said.contains("no adapter") {
-                skipped(&format!("{command} on {backend}: no adapter"))?;
+                skipped(&format!("{command} on {backend}"), "no adapter")?;
             } else if is_built {
                 assert!(tried.status.success(), "{backend}: {said}");
             } else {
@@ -56,7 +54,7 @@ fn a_backend_that_is_not_built_in_is_an_error_that_says_what_to_do() -> Result<(
     let folder = tempfile::tempdir()?;
     for (backend, is_built) in BACKENDS.into_iter().skip(1) {
         if is_built {
-            skipped(&format!("a build without {backend}: this one has it"))?;
+            skipped(&format!("a build without {backend}"), "this one has it")?;
             continue;
         }
         let out = folder.path().join(backend);
@@ -95,7 +93,10 @@ fn a_machine_without_an_adapter_is_an_error_that_says_what_to_do() -> Result<(),
     let said = String::from_utf8_lossy(&listed.stdout);
     assert!(listed.status.success(), "{said}");
     if !said.contains("wgpu     no adapter") {
-        skipped("a machine without an adapter: its drivers cannot be hidden")?;
+        skipped(
+            "a machine without an adapter",
+            "its drivers cannot be hidden",
+        )?;
         return Ok(());
     }
     let run = out.to_string_lossy();
@@ -118,7 +119,7 @@ fn devices_are_listed_with_their_limits_and_whether_a_scene_fits() -> Result<(),
     assert!(listed.status.success(), "{said}");
     assert!(said.contains("flex     the CPU"), "{said}");
     if said.contains("wgpu     no adapter") {
-        skipped("devices and what fits: no adapter")?;
+        skipped("devices and what fits", "no adapter")?;
         return Ok(());
     }
     for part in [

@@ -55,17 +55,20 @@ fn as_many_iterations_as_fit_and_the_run_can_be_repeated() -> Result<(), Box<dyn
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("run");
     let began = Instant::now();
-    let run = train(&out, &["--minutes", "0.1", "--set", FIT])?;
+    // More than any machine has time for.
+    let most: u64 = 1_000_000;
+    let asked = ["--minutes", "0.1", "--iterations", &most.to_string()];
+    let run = train(&out, &[&asked[..], &["--set", FIT]].concat())?;
     let took = began.elapsed().as_secs_f64();
     let said = String::from_utf8_lossy(&run.stderr).into_owned();
     assert!(run.status.success(), "{said}");
     let chosen = length(&out)?;
     assert!(
-        said.contains(&format!("{chosen} iterations in the place of 3000")),
+        said.contains(&format!("{chosen} iterations in the place of {most}")),
         "{said}"
     );
     assert!(said.contains("is expected"), "{said}");
-    assert!((200..3000).contains(&chosen), "{chosen}");
+    assert!((200..most).contains(&chosen), "{chosen}");
     // The length is kept, not the time, and a machine that others use may become slower on the way: by this much it does not.
     assert!(chosen == 200 || took < 90.0, "{took} s in the place of 6");
     assert_repeats(&out)
@@ -95,21 +98,25 @@ fn a_time_that_is_too_short_is_said_and_no_time_is_refused() -> Result<(), Box<d
 }
 
 #[test]
-fn lengths_double_up_to_the_most_and_the_last_run_can_be_repeated() -> Result<(), Box<dyn Error>> {
+fn lengths_double_up_to_the_most_and_the_run_that_is_kept_can_be_repeated()
+-> Result<(), Box<dyn Error>> {
     let folder = tempfile::tempdir()?;
     let out = folder.path().join("run");
     let run = train(&out, &["--until-done", "--iterations", "800"])?;
     let said = String::from_utf8_lossy(&run.stderr).into_owned();
     assert!(run.status.success(), "{said}");
-    for told in [
-        "750 iterations: ",
-        "800 iterations, from the beginning",
-        "800 iterations: ",
-        ": done",
-    ] {
+    for told in ["750 iterations: ", "800 iterations, from the beginning"] {
         assert!(said.contains(told), "{told}: {said}");
     }
-    assert_eq!(length(&out)?, 800);
+    // Which of the two is the better one hangs on the last bits of a processor's arithmetic.
+    let decision = said.lines().find(|line| line.contains("800 iterations: "));
+    let decision = decision.ok_or("a decision")?;
+    let (kept, told) = match decision.contains(", -") {
+        true => (750, ": back to 750"),
+        false => (800, ": done"),
+    };
+    assert!(decision.contains(told), "{said}");
+    assert_eq!(length(&out)?, kept, "{said}");
     assert_eq!(settings(&out)?["frames"]["held_back"], 0.03);
     let log = fs::read_to_string(out.join("metrics.jsonl"))?;
     let iterations = log.lines().map(|line| -> Result<u64, Box<dyn Error>> {
@@ -118,8 +125,8 @@ fn lengths_double_up_to_the_most_and_the_last_run_can_be_repeated() -> Result<()
     });
     let iterations = iterations.collect::<Result<Vec<_>, _>>()?;
     assert!(
-        iterations.is_sorted(),
-        "of the last run alone: {iterations:?}"
+        iterations.is_sorted() && iterations.last() == Some(&kept),
+        "of the run that is kept alone: {iterations:?}"
     );
     assert_repeats(&out)
 }

@@ -10,6 +10,7 @@ use crate::views::{CameraView, Views, pose_tensor, poses_of};
 use burn::tensor::{DType, Device, Tensor};
 use capture::{RIGID, moved, shift_in_image, turns};
 use glam::DAffine3;
+use host::product;
 use serde::{Deserialize, Serialize};
 
 /// Offsets and gains of all training frames. Their means over the frames are zero: what all have in common is the scene's.
@@ -108,7 +109,7 @@ impl Corrections {
             let held = offsets.clone().inner();
             let shifts = shift_in_image(held.clone());
             let shape = shifts.dims();
-            let common = shared.clone().matmul(shifts.reshape([2 * shape[0], 1]));
+            let common = product(shared.clone(), shifts.reshape([2 * shape[0], 1]));
             let common = common.reshape(shape);
             *offsets = leaf(held - turns(common), true);
         }

@@ -99,10 +99,13 @@ impl Trainer {
         let blur = self.untrained_blur(&settings)?;
         let moments = blur.moments();
         let is_trial = |moment: &usize| *moment < iterations && blur.revises(*moment);
+        let mut trials: Vec<usize> = moments.iter().copied().filter(is_trial).collect();
+        // With both models, one of them may begin where the other's last trial is.
+        trials.dedup();
         Ok(Course {
             blurred_from: moments.first().copied(),
             blurred_pace: blurred_pace(&blur, &settings),
-            trials: moments.iter().copied().filter(is_trial).collect(),
+            trials,
         })
     }
 

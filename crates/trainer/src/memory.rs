@@ -40,12 +40,13 @@ impl MemoryNeed {
 }
 
 impl Trainer {
-    /// The most Gaussians that there may be; where they have no limit, as many as there are now.
+    /// The most Gaussians that there may be; where they have no limit, or are more than it from the start on, as many as there are now.
     #[must_use]
     pub fn most_gaussians(&self) -> usize {
+        let now = self.run.model().num_gaussians();
         match self.run.plan.max_gaussians() {
-            usize::MAX => self.run.model().num_gaussians(),
-            most => most,
+            usize::MAX => now,
+            most => most.max(now),
         }
     }
 

@@ -33,12 +33,7 @@ impl Seeds {
 /// Static Gaussians of a scene with depth: pixels outside the grown mask and off depth edges, the
 /// same number from each frame; scale from the three nearest neighbours, at least half a pixel.
 pub(crate) fn place_static(scene: &Scene, settings: &GaussianSettings, seed: u64) -> Seeds {
-    let pixels = scene
-        .frames
-        .first()
-        .map_or(0, |f| f.view.camera.num_pixels());
-    let limit = (settings.initial_static_per_pixel * pixels as f64) as usize;
-    let total = settings.max_initial_static.min(limit).max(1);
+    let total = most_at_first(scene, settings);
     let with_depth = scene
         .frames
         .iter()
@@ -63,12 +58,24 @@ pub(crate) fn place_static(scene: &Scene, settings: &GaussianSettings, seed: u64
     with_neighbor_scales(means, colors, &half_pixels)
 }
 
-/// Static Gaussians of a scene without depth: the sparse points.
-pub(crate) fn place_points(scene: &Scene) -> Seeds {
-    let means: Vec<DVec3> = scene.points.iter().map(|p| p.position).collect();
-    let colors = scene.points.iter().map(|p| p.color).collect();
+/// Static Gaussians of a scene without depth: the sparse points, or as many of them as there may be.
+pub(crate) fn place_points(scene: &Scene, settings: &GaussianSettings, seed: u64) -> Seeds {
+    let mut rng = generator(seed, Purpose::Placement, 0);
+    let total = most_at_first(scene, settings);
+    let chosen = sample(&mut rng, scene.points.len(), total);
+    let points = || chosen.iter().map(|i| &scene.points[*i]);
+    let means: Vec<DVec3> = points().map(|p| p.position).collect();
+    let colors = points().map(|p| p.color).collect();
     let half_pixels = vec![1e-9; means.len()];
     with_neighbor_scales(means, colors, &half_pixels)
+}
+
+/// So many static Gaussians at the start, or fewer.
+fn most_at_first(scene: &Scene, settings: &GaussianSettings) -> usize {
+    let first = scene.frames.first();
+    let pixels = first.map_or(0, |frame| frame.view.camera.num_pixels());
+    let of_pixels = (settings.initial_static_per_pixel * pixels as f64) as usize;
+    settings.max_initial_static.min(of_pixels).max(1)
 }
 
 fn with_neighbor_scales(means: Vec<DVec3>, colors: Vec<[f32; 3]>, floors: &[f64]) -> Seeds {

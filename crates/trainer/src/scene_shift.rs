@@ -139,6 +139,7 @@ impl Shared {
 mod tests {
     use super::*;
     use glam::{DAffine3, DQuat};
+    use host::product;
     use splat_core::Camera;
 
     fn views() -> Vec<CameraView> {
@@ -169,10 +170,12 @@ mod tests {
         scene_shift.among(&all, &all)
     }
 
-    /// By how much two lists of shifts are apart where most.
+    /// By how much two lists of shifts are apart where most; NaN where one is.
     fn apart(a: &[[f64; 2]], b: &[[f64; 2]]) -> f64 {
+        assert_eq!(a.len(), b.len());
         let pairs = a.as_flattened().iter().zip(b.as_flattened());
-        pairs.fold(0.0, |most, (a, b)| (a - b).abs().max(most))
+        let apart = pairs.map(|(a, b)| (a - b).abs());
+        apart.max_by(f64::total_cmp).unwrap_or(0.0)
     }
 
     #[test]
@@ -210,9 +213,10 @@ mod tests {
         let device = Device::flex();
         let options = (&device, DType::F64);
         let shifts = TensorData::new(any(9).concat(), [18, 1]);
-        let found = shared
-            .of_shifts_on(options)
-            .matmul(Tensor::from_data(shifts, options));
+        let found = product(
+            shared.of_shifts_on(options),
+            Tensor::from_data(shifts, options),
+        );
         let found = found.try_into_vec_as::<f64>().expect("f64");
         let expected = shared.of_shifts(&any(9)).concat();
         for (found, expected) in found.iter().zip(expected) {

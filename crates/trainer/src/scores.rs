@@ -140,7 +140,7 @@ impl Run {
             test.push(score(&view.name, &image, &wanted, &regions(&truth, index)));
         }
         let (mut train_sharp, mut figures) = (Vec::new(), FigureSums::default());
-        let mut kernels = TrueKernels::of(scene, truth.exposures.as_deref());
+        let mut kernels = TrueKernels::of(scene, truth.exposures.as_deref(), self.survey().movers);
         if truth.sharp.is_some() || kernels.is_some() || self.model().blur.is_on(self.iteration()) {
             for (index, viewpoint) in self.views().train.iter().enumerate() {
                 let view = self.render_training_view(index)?;

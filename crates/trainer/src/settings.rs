@@ -101,7 +101,8 @@ pub struct GaussianSettings {
     pub prune_scale_from: usize,
     /// Gaussians below this opacity are removed.
     pub prune_opacity: f64,
-    /// At most so many Gaussians for each pixel of a frame, and 20,000 in any case; 0 for no limit.
+    /// At most so many Gaussians for each pixel of a frame, and 20,000 in any case, are made of those that there are; 0 for no limit.
+    /// (A run that starts with more keeps them.)
     pub max_per_pixel: f64,
     /// Iterations between resets of the opacity, in runs of 10,000 iterations or more; 0 for never.
     pub opacity_reset_every: usize,

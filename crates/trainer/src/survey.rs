@@ -139,12 +139,20 @@ fn movers_note(
 
 /// Surveys a scene, aligns the disparity of each frame to the sparse points where there are any (a robust scale and shift per
 /// frame), and takes the masks away where the tracks on them say that nothing moves; `asked` can ask for movers all the same, or
-/// for none ([`crate::settings::MotionSettings::when`]).
+/// for none ([`crate::settings::MotionSettings::when`]). Masks that are left out for that are left out of everything.
 ///
 /// # Errors
 /// The scene has neither depth nor sparse points in front of its cameras, or movers and no depth to lift them by.
 pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
     let mut notes = Vec::new();
+    let masked = scene
+        .frames
+        .iter()
+        .filter_map(|f| f.mask.as_ref())
+        .any(|m| m.values.iter().any(|&v| v > 0.5));
+    if asked == When::Never {
+        drop_masks(scene);
+    }
     if drop_empty_depth(scene) {
         notes.extend(align_depth(scene));
     }
@@ -169,11 +177,6 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
     }
     let [scene_size, near, far] =
         [0.5, 0.05, 0.95].map(|share| f64::from(quantile(&mut depths, share)));
-    let masked = scene
-        .frames
-        .iter()
-        .filter_map(|f| f.mask.as_ref())
-        .any(|m| m.values.iter().any(|&v| v > 0.5));
     let tracked = scene
         .tracks
         .as_ref()
@@ -185,8 +188,8 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
     let track_motion = track_motion(scene, NEAREST * scene_size);
     let stand_still = track_motion.as_ref().is_some_and(TrackMotion::stands_still);
     let movers = shown && asked.holds(!stand_still);
-    if asked == When::Never || (shown && !movers) {
-        scene.frames.iter_mut().for_each(|f| f.mask = None);
+    if shown && !movers {
+        drop_masks(scene);
     }
     let given = [masked, tracked];
     notes.push(movers_note(given, track_motion.as_ref(), asked, movers));
@@ -204,6 +207,10 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
         gains_differ: brightness_change.is_some_and(gains_differ),
         notes,
     })
+}
+
+fn drop_masks(scene: &mut Scene) {
+    scene.frames.iter_mut().for_each(|f| f.mask = None);
 }
 
 /// Takes away maps without a single depth, which are no maps. Says whether any is left.

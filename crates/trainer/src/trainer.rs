@@ -126,7 +126,7 @@ impl Trainer {
         let still = if survey.depth {
             place_static(&scene, &settings.gaussians, settings.seed)
         } else {
-            place_points(&scene)
+            place_points(&scene, &settings.gaussians, settings.seed)
         };
         let (moving, motion) = match dynamics {
             Some(start) => {

@@ -27,8 +27,8 @@ const LEAST_WEIGHT: f64 = 1e-5;
 /// Renders that stand for what the model's camera collects.
 const SAMPLES: usize = 128;
 
-/// Kernels of training views against the true ones, over pixels that stand still and away from depth edges, on squares of one size
-/// that hold all the true ones.
+/// Kernels of training views against the true ones, over pixels that stand still in the run and away from depth edges, on squares of
+/// one size that hold all the true ones. In a run without movers all of them stand still, whatever masks the scene has.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KernelScores {
     /// As they are.
@@ -74,8 +74,13 @@ impl TrueFrame<'_> {
 }
 
 impl<'a> TrueKernels<'a> {
-    /// `None` where exposures are not known, or no pixel can be scored.
-    pub(crate) fn of(scene: &'a Scene, exposures: Option<&'a [TrueExposure]>) -> Option<Self> {
+    /// `None` where exposures are not known, or no pixel can be scored. Masks count where the run has movers: a survey that finds
+    /// none takes them away, and whoever scores a run later has the scene as it was read.
+    pub(crate) fn of(
+        scene: &'a Scene,
+        exposures: Option<&'a [TrueExposure]>,
+        has_movers: bool,
+    ) -> Option<Self> {
         let frames: Vec<_> = scene
             .frames
             .iter()
@@ -83,7 +88,7 @@ impl<'a> TrueKernels<'a> {
             .map(|(frame, exposure)| TrueFrame {
                 camera: &frame.view.camera,
                 exposure,
-                pixels: scored_pixels(frame, exposure),
+                pixels: scored_pixels(frame, exposure, has_movers),
             })
             .collect();
         let kernels = frames
@@ -176,11 +181,11 @@ impl Compared {
 
 /// Pixels of a frame whose true kernel is known: inside the picture and with depth, where nothing moves and no depth edge lies as far
 /// as the kernel reaches.
-fn scored_pixels(frame: &Frame, exposure: &TrueExposure) -> Vec<usize> {
+fn scored_pixels(frame: &Frame, exposure: &TrueExposure, has_movers: bool) -> Vec<usize> {
     let (camera, depth) = (&frame.view.camera, &exposure.depth);
     let (width, height) = (camera.width, camera.height);
     let edge = depth_edges(&depth.values, width, EDGE);
-    let moving = frame.mask.as_ref();
+    let moving = frame.mask.as_ref().filter(|_| has_movers);
     let moving = moving.map(|mask| dilate(mask, MOVERS_EDGE, 0.02));
     let is_known = |pixel: usize| {
         let is_still = moving.as_ref().is_none_or(|moving| !moving[pixel]);
@@ -311,7 +316,7 @@ mod tests {
     fn scored(shifts: &[f64], found: &[f64]) -> KernelScores {
         let (frame, exposure) = frame(shifts);
         let (scene, exposures) = (Scene::of_frames(vec![frame]), [exposure]);
-        let mut kernels = TrueKernels::of(&scene, Some(&exposures)).expect("kernels");
+        let mut kernels = TrueKernels::of(&scene, Some(&exposures), true).expect("kernels");
         let camera = &scene.frames[0].view.camera;
         let cameras = self::frame(found).1.cameras;
         kernels.score(0, |pixel| {
@@ -350,13 +355,13 @@ mod tests {
     fn movers_edges_and_what_has_no_depth_are_left_out() {
         let all = {
             let (frame, exposure) = frame(&[-1.0, 1.0]);
-            scored_pixels(&frame, &exposure)
+            scored_pixels(&frame, &exposure, true)
         };
         assert_eq!(all.len(), 20);
         let without = |change: &dyn Fn(&mut Frame, &mut TrueExposure)| -> Vec<usize> {
             let (mut frame, mut exposure) = frame(&[-1.0, 1.0]);
             change(&mut frame, &mut exposure);
-            let left = scored_pixels(&frame, &exposure);
+            let left = scored_pixels(&frame, &exposure, true);
             all.iter().filter(|p| !left.contains(p)).copied().collect()
         };
         let at = |x: usize, y: usize| y * 40 + x;
@@ -372,6 +377,9 @@ mod tests {
         // Three px from the pixel at (12, 12): the mask's edge is taken to be two px further out, and the kernel reaches one.
         assert_eq!(without(&|f, _| f.mask = marked(15, 12)), [at(12, 12)]);
         assert!(without(&|f, _| f.mask = marked(16, 12)).is_empty());
+        let (mut masked, exposure) = frame(&[-1.0, 1.0]);
+        masked.mask = marked(15, 12);
+        assert_eq!(scored_pixels(&masked, &exposure, false), all, "no movers");
         assert_eq!(
             without(&|_, e| e.depth.values[at(13, 12)] = 0.0),
             [at(12, 12)]

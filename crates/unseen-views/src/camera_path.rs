@@ -15,7 +15,8 @@ const MIN_BASELINE: f64 = 1e-9;
 /// The camera's pose half-way between two neighbours: centres averaged, axes averaged and made orthonormal.
 ///
 /// The viewing direction is the mean of the two, and x is perpendicular to it and to the mean of the
-/// two y axes. For two poses that differ by a rotation, this is the half rotation.
+/// two y axes. For two poses that differ by a turn about one of the camera's own axes this is half of that
+/// turn, and for any other small turn nearly so.
 ///
 /// `None` where the mean has no direction (cameras that look opposite ways, or are upside down to
 /// each other) and where a pose holds a number that is not finite.
@@ -43,11 +44,15 @@ pub fn parallel_pose(a: &DAffine3, b: &DAffine3) -> Option<DAffine3> {
 /// moves to its right, a positive offset moves it along its y axis, which is down. Where this has no
 /// direction, because the pair stands still or moves straight along the view, `a`'s y axis is taken.
 ///
-/// A pose that is not finite gives a pose that is not finite.
+/// Where one of the two poses is not finite, the result is not finite.
 #[must_use]
 pub fn perpendicular_pose(a: &DAffine3, b: &DAffine3, offset: f64) -> DAffine3 {
     let world_from_a = a.inverse();
     let (center_a, center_b) = (world_from_a.translation, b.inverse().translation);
+    if !center_b.is_finite() {
+        // It has no direction then, which must not pass for that of a pair that stands still.
+        return DAffine3::from_mat3_translation(a.matrix3, DVec3::NAN);
+    }
     let baseline = center_b - center_a;
     let noise = MIN_BASELINE * center_a.length().max(center_b.length());
     let view = world_from_a.matrix3.z_axis;
@@ -148,14 +153,37 @@ mod tests {
         );
     }
 
+    /// The pose of a camera that looks anywhere, turned about an axis of its own.
+    fn turned(axis: DVec3, angle: f64) -> DAffine3 {
+        let somewhere = DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -1.1, 2.0);
+        let turn = DQuat::from_axis_angle(axis, angle);
+        at(somewhere * turn, DVec3::new(1.0, 2.0, 3.0))
+    }
+
     #[test]
-    fn half_of_a_turn_about_y_is_half_the_angle() {
-        let turn = |angle| at(DQuat::from_rotation_y(angle), DVec3::new(1.0, 2.0, 3.0));
-        let middle = parallel_pose(&turn(0.0), &turn(0.6)).expect("a direction");
-        assert!(
-            middle.abs_diff_eq(turn(0.3), 1e-12),
-            "{middle:?} is not half the turn"
-        );
+    fn half_of_a_turn_about_an_axis_of_the_camera_is_half_the_angle() {
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+            let (a, b) = (turned(axis, 0.0), turned(axis, 0.6));
+            let middle = parallel_pose(&a, &b).expect("a direction");
+            assert!(
+                middle.abs_diff_eq(turned(axis, 0.3), 1e-12),
+                "about {axis}: {middle:?} is not half the turn"
+            );
+        }
+    }
+
+    #[test]
+    fn half_of_a_small_turn_is_half_the_angle_but_for_its_square() {
+        let axis = DVec3::new(0.48, -0.6, 0.64);
+        for angle in [1e-3, 0.01, 0.1] {
+            let (a, b) = (turned(axis, 0.0), turned(axis, angle));
+            let middle = parallel_pose(&a, &b).expect("a direction").matrix3;
+            let half = turned(axis, 0.5 * angle).matrix3;
+            assert!(
+                middle.abs_diff_eq(half, 0.125 * angle * angle),
+                "{angle}: {middle:?} is far from half the turn"
+            );
+        }
     }
 
     #[test]
@@ -213,6 +241,25 @@ mod tests {
                 Ok(())
             },
         );
+    }
+
+    #[test]
+    fn a_pose_that_is_not_finite_gives_none_that_is() {
+        let good = at(DQuat::from_rotation_x(0.2), DVec3::new(0.75, 0.0, 1.25));
+        let wrong = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY].map(|v| {
+            let shift = DVec3::new(0.0, v, 0.0);
+            DAffine3::from_mat3_translation(good.matrix3, shift)
+        });
+        let mut skew = good;
+        skew.matrix3.y_axis.z = f64::NAN;
+        // Without an inverse it has no centre.
+        let flat = DAffine3::from_mat3_translation(DMat3::ZERO, DVec3::X);
+        for bad in wrong.into_iter().chain([skew, flat]) {
+            for (a, b) in [(good, bad), (bad, good), (bad, bad)] {
+                let beside = perpendicular_pose(&a, &b, 0.25);
+                assert!(!beside.is_finite(), "{a:?}, {b:?}: {beside:?}");
+            }
+        }
     }
 
     #[test]

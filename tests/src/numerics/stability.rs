@@ -1,11 +1,15 @@
 //! What is done for stability, each measured against doing without.
 
-use crate::{noise, tensor, values};
+use crate::{largest, noise, tensor, values};
 use burn::tensor::{DType, Device, Tensor, activation::softmax};
+use glam::DAffine3;
 use host::{Real, Vectors};
 use motion_bases::{gram_schmidt, means_acceleration};
 use pulp::{Arch, Simd, WithSimd};
+use splat_core::Camera;
+use splat_core::cpu::{SplatSlices, View, project};
 use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
+use trainer::losses::intensity_penalty;
 
 /// One measure and the f32 errors without and with it; NaN where nothing usable comes out.
 #[derive(Clone, Debug)]
@@ -36,8 +40,8 @@ pub fn measures() -> Vec<Measure> {
 }
 
 fn largest_error(found: &[f64], exact: &[f64]) -> f64 {
-    let errors = found.iter().zip(exact).map(|(a, b)| (a - b).abs());
-    errors.fold(0.0, |m, e| if e.is_nan() { e } else { m.max(e) })
+    assert_eq!(found.len(), exact.len(), "lengths");
+    largest(found.iter().zip(exact).map(|(a, b)| (a - b).abs()))
 }
 
 /// The largest is subtracted before the exponential (log-sum-exp).
@@ -65,30 +69,50 @@ fn kernel_softmax() -> Measure {
     }
 }
 
+/// The two rows whose Gram matrix and low-pass are the covariance of an ellipse of 1000 x 1 px at 45°.
+const THIN: [[f64; 3]; 2] = [[1000.0, 0.7, 0.1], [1000.0, -0.7, 0.2]];
+
+/// l11, l21 and l22 of that ellipse as splatting projects it in f32: sigma = (l11 dx + l21 dy)² + (l22 dy)².
+fn thin_falloff() -> [f32; 3] {
+    // A pixel is a unit at the depth of 1, so that the rows are those of the Gaussian's own axes.
+    let view = View::new(
+        &Camera::pinhole([2, 2], [1.0; 2], [1.0; 2]),
+        &DAffine3::IDENTITY,
+        0,
+    );
+    let axes = [THIN[0], THIN[1], [0.0, 0.0, 1.0]].map(|row| row.map(|v| v as f32));
+    let splats = SplatSlices {
+        means: &[0.0_f32, 0.0, 1.0],
+        quats: &[1.0, 0.0, 0.0, 0.0],
+        left_rotations: axes.as_flattened(),
+        log_scales: &[0.0; 3],
+        opacity_logits: &[0.0],
+        sh: &[0.0; 3],
+    };
+    let stages = project(&splats, &view).expect("a Gaussian").stages();
+    let seen = stages.projected[0].expect("it is in the image");
+    seen.falloff.map(|v| v as f32)
+}
+
 /// Half the squared Mahalanobis distance over an ellipse of 1000 x 1 px at 45°, as a sum of squares and by the conic.
 fn thin_ellipse() -> Measure {
-    fn rows<T: Real>() -> [[T; 3]; 2] {
-        [[1000.0, 0.7, 0.1], [1000.0, -0.7, 0.2]].map(|row| row.map(T::of))
-    }
     fn dot<T: Real>(a: [T; 3], b: [T; 3]) -> T {
         a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     }
-    fn by_squares<T: Real>(dx: T, dy: T) -> T {
-        let [r0, r1] = rows::<T>();
-        let (low, half) = (T::of(0.3), T::of(0.5));
-        let yy = dot(r1, r1) + low;
+    fn exactly(dx: f64, dy: f64) -> f64 {
+        let [r0, r1] = THIN;
+        let yy = dot(r1, r1) + 0.3;
         let rho = dot(r0, r1) / yy;
-        let residual: [T; 3] = std::array::from_fn(|k| r0[k] - rho * r1[k]);
-        let e = dot(residual, residual) + low + rho * rho * low;
-        let (p, q) = (dx - rho * dy, dy);
-        half * (p * p / e + q * q / yy)
+        let residual: [f64; 3] = std::array::from_fn(|k| r0[k] - rho * r1[k]);
+        let e = dot(residual, residual) + 0.3 + rho * rho * 0.3;
+        let p = dx - rho * dy;
+        0.5 * (p * p / e + dy * dy / yy)
     }
-    fn by_conic<T: Real>(dx: T, dy: T) -> T {
-        let [r0, r1] = rows::<T>();
-        let (low, half) = (T::of(0.3), T::of(0.5));
-        let (xx, xy, yy) = (dot(r0, r0) + low, dot(r0, r1), dot(r1, r1) + low);
+    fn by_conic(dx: f32, dy: f32) -> f32 {
+        let [r0, r1] = THIN.map(|row| row.map(|v| v as f32));
+        let (xx, xy, yy) = (dot(r0, r0) + 0.3, dot(r0, r1), dot(r1, r1) + 0.3);
         let determinant = xx * yy - xy * xy;
-        half * (yy * dx * dx + xx * dy * dy) / determinant - xy * dx * dy / determinant
+        0.5 * (yy * dx * dx + xx * dy * dy) / determinant - xy * dx * dy / determinant
     }
     let points: Vec<[f32; 2]> = (0..40)
         .map(|k| {
@@ -98,20 +122,22 @@ fn thin_ellipse() -> Measure {
         .collect();
     let exact: Vec<f64> = points
         .iter()
-        .map(|p| by_squares(f64::from(p[0]), f64::from(p[1])))
+        .map(|p| exactly(f64::from(p[0]), f64::from(p[1])))
         .collect();
-    let error = |sigma: fn(f32, f32) -> f32| {
+    let error = |sigma: &dyn Fn(f32, f32) -> f32| {
         let found: Vec<f64> = points
             .iter()
             .map(|p| f64::from(sigma(p[0], p[1])))
             .collect();
         largest_error(&found, &exact)
     };
+    let [l11, l21, l22] = thin_falloff();
+    let by_squares = |dx: f32, dy: f32| (l11 * dx + l21 * dy).powi(2) + (l22 * dy).powi(2);
     Measure {
         place: "splatting, forward and backward",
         what: "an ellipse of 1000 x 1 px as a sum of squares, not by its conic; sigma near its long axis",
-        without: error(by_conic),
-        with: error(by_squares),
+        without: error(&by_conic),
+        with: error(&by_squares),
     }
 }
 
@@ -131,17 +157,14 @@ fn exponential() -> Measure {
     let x: Vec<f32> = (0..200_064).map(|k| k as f32 * 3.998e-4).collect();
     let mut results = x.clone();
     Arch::new().dispatch(ExpNeg(&mut results));
-    let (mut ours, mut library) = (0.0_f64, 0.0_f64);
-    for (x, y) in x.into_iter().zip(results) {
-        let exact = (-f64::from(x)).exp();
-        ours = ours.max((f64::from(y) / exact - 1.0).abs());
-        library = library.max((f64::from((-x).exp()) / exact - 1.0).abs());
-    }
+    let off = |(x, y): (&f32, f32)| f64::from(y) / (-f64::from(*x)).exp() - 1.0;
+    let library = x.iter().map(|x| off((x, (-x).exp())));
+    let ours = x.iter().zip(results).map(off);
     Measure {
         place: "splatting, inner loops",
         what: "an exponential of our own that vectorises (\"without\": the library's); relative, from 0 to -80",
-        without: library,
-        with: ours,
+        without: largest(library),
+        with: largest(ours),
     }
 }
 
@@ -208,9 +231,9 @@ fn length_at_rest() -> Measure {
     let device = Device::flex().autodiff();
     let rest = || Tensor::<2>::ones([2, 3], (&device, DType::F32)).require_grad();
     let (a, b, c) = (rest(), rest(), rest());
-    let largest = |loss: Tensor<1>, leaf: &Tensor<2>| {
-        let gradient = leaf.grad(&loss.backward()).map_or_else(Vec::new, values);
-        largest_error(&gradient, &vec![0.0; gradient.len()])
+    let steepest = |loss: Tensor<1>, leaf: &Tensor<2>| {
+        let gradient = leaf.grad(&loss.backward()).expect("a gradient");
+        largest(values(gradient))
     };
     let plain = (b.clone() * 2.0 - a.clone() - c.clone())
         .powi_scalar(2)
@@ -220,8 +243,8 @@ fn length_at_rest() -> Measure {
     Measure {
         place: "smoothness of motion",
         what: "a floor under the root; gradient of an acceleration of zero",
-        without: largest(plain, &b),
-        with: largest(means_acceleration([&a, &b, &c], 1.0), &b),
+        without: steepest(plain, &b),
+        with: steepest(means_acceleration([&a, &b, &c], 1.0), &b),
     }
 }
 
@@ -256,23 +279,23 @@ fn overflowing_square() -> Measure {
     }
 }
 
-/// Ten million numbers in one row of additions, and by rows as losses and partial gradients are summed.
+/// Ten million numbers in one row of additions, and by rows as losses are.
 fn order_of_sums() -> Measure {
     let numbers: Vec<f32> = noise(10_000_000, 5)
         .iter()
         .map(|v| (v + 1.0) as f32)
         .collect();
-    let exact: f64 = numbers.iter().map(|v| f64::from(*v)).sum();
+    let wide: Vec<f64> = numbers.iter().map(|v| f64::from(*v)).collect();
+    let exact: f64 = wide.iter().sum();
     let one: f32 = numbers.iter().fold(0.0, |s, v| s + v);
-    let rows: f32 = numbers
-        .chunks(4096)
-        .map(|row| row.iter().fold(0.0, |s, v| s + v))
-        .fold(0.0, |s, v| s + v);
-    let error = |sum: f32| (f64::from(sum) / exact - 1.0).abs();
+    // A loss that is the mean of its input.
+    let rows = tensor::<2>(&wide, [2_500, 4_000], &Device::flex(), DType::F32);
+    let mean = values(intensity_penalty(rows))[0];
+    let error = |sum: f64| (sum / exact - 1.0).abs();
     Measure {
         place: "losses, partial gradients",
         what: "summed in fixed pieces, then the pieces; relative error of ten million terms",
-        without: error(one),
-        with: error(rows),
+        without: error(f64::from(one)),
+        with: error(mean * numbers.len() as f64),
     }
 }

@@ -2,8 +2,9 @@
 //! from which picture and model are learned together, as design section 4.1 starts them.
 
 use bpnet::{BlurInputs, BpNet, BpNetConfig, Extractor, HeadInit, cell_means, composite};
-use burn::tensor::{DType, Device, Tensor, TensorData};
-use limpid_tests::devices_for_long_trainings;
+use burn::tensor::{DType, Device, Gradients, Tensor};
+use limpid_tests::{devices_for_long_trainings, tensor, values};
+use trainer::adam::{AdamState, AdamStep, LearningRate, adam_step};
 
 const SIZE: usize = 40;
 /// The frames are cut out of a larger picture, so that blur carries light over their borders.
@@ -74,43 +75,11 @@ fn psnr(a: &[f64], b: &[f64]) -> f64 {
     -10.0 * (square / a.len() as f64).log10()
 }
 
-fn tensor<const D: usize>(values: &[f64], shape: [usize; D], device: &Device) -> Tensor<D> {
-    Tensor::from_data(
-        TensorData::new(values.to_vec(), shape),
-        (device, DType::F32),
-    )
-}
-
-fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f64> {
-    tensor.into_data().iter::<f64>().collect()
-}
-
-/// Adam on one parameter.
-#[derive(Default)]
-struct Moments {
-    first: Option<Tensor<2>>,
-    second: Option<Tensor<2>>,
-    steps: i32,
-}
-
-impl Moments {
-    fn step(&mut self, parameter: &mut Tensor<2>, gradient: &Tensor<2>, rate: f64) {
-        let decayed = |old: Option<Tensor<2>>, decay: f64, new: Tensor<2>| match old {
-            Some(old) => old * decay + new * (1.0 - decay),
-            None => new * (1.0 - decay),
-        };
-        self.steps += 1;
-        let gradient = gradient.clone();
-        let first = decayed(self.first.take(), 0.9, gradient.clone());
-        let second = decayed(self.second.take(), 0.999, gradient.clone() * gradient);
-        let unbiased = |decay: f64| 1.0 - decay.powi(self.steps);
-        let scale = (second.clone() / unbiased(0.999)).sqrt() + 1e-15;
-        let change = first.clone() / unbiased(0.9) / scale * rate;
-        let moved = parameter.clone().inner() - change;
-        *parameter = moved.autodiff().require_grad();
-        self.first = Some(first);
-        self.second = Some(second);
-    }
+/// A step of Adam on one parameter.
+fn step(parameter: &mut Tensor<2>, grads: &Gradients, state: &mut AdamState, rate: f64) {
+    let gradient = parameter.grad(grads).expect("every parameter is trained");
+    let rate = &LearningRate::Uniform(rate);
+    adam_step(parameter, gradient, state, &AdamStep { rate, drawn: &[] });
 }
 
 struct Outcome {
@@ -153,19 +122,19 @@ fn learn(frames: &[Vec<f64>], start: &[f64], recipe: &Recipe, device: &Device) -
                 })
                 .map(|(x, y)| -0.5 * (x * x + y * y))
                 .collect();
-            *parameter = tensor(&logits, [1, 81], &device).require_grad();
+            *parameter = tensor(&logits, [1, 81], &device, DType::F32).require_grad();
         }
     }
-    let mut net_moments: Vec<Moments> = net
+    let mut net_states: Vec<AdamState> = net
         .parameters()
         .iter()
-        .map(|_| Moments::default())
+        .map(|(_, parameter)| AdamState::new(parameter))
         .collect();
-    let mut picture = tensor(start, [SIZE * SIZE, 3], &device).require_grad();
-    let mut picture_moments = Moments::default();
+    let mut picture = tensor(start, [SIZE * SIZE, 3], &device, DType::F32).require_grad();
+    let mut picture_state = AdamState::new(&picture);
     let seen: Vec<Tensor<3>> = frames
         .iter()
-        .map(|frame| tensor(frame, [SIZE, SIZE, 3], &device))
+        .map(|frame| tensor(frame, [SIZE, SIZE, 3], &device, DType::F32))
         .collect();
     let inputs = |picture: &Tensor<2>| BlurInputs {
         color: picture.clone().reshape([SIZE, SIZE, 3]),
@@ -175,9 +144,9 @@ fn learn(frames: &[Vec<f64>], start: &[f64], recipe: &Recipe, device: &Device) -
     // The gauge's table: each frame's cells as of its last visit.
     let mut table: Vec<Option<Tensor<2>>> = vec![None; frames.len()];
 
-    for step in 0..steps {
+    for k in 0..steps {
         // 5 and 8 have no common divisor: all frames in a mixed order.
-        let frame = step * 5 % frames.len();
+        let frame = k * 5 % frames.len();
         let inputs = inputs(&picture);
         let field = net
             .forward(frame, &inputs, Extractor::Trained)
@@ -193,14 +162,11 @@ fn learn(frames: &[Vec<f64>], start: &[f64], recipe: &Recipe, device: &Device) -
         table[frame] = Some(cells.detach());
 
         let grads = loss.backward();
-        let decay = 0.1_f64.powf(step as f64 / steps as f64);
-        let gradient = picture.grad(&grads).expect("the picture is trained");
-        picture_moments.step(&mut picture, &gradient, 1e-2 * decay);
-        if step >= hold {
-            for ((_, parameter), moments) in net.parameters_mut().into_iter().zip(&mut net_moments)
-            {
-                let gradient = parameter.grad(&grads).expect("every parameter is trained");
-                moments.step(parameter, &gradient, 2e-3 * decay);
+        let decay = 0.1_f64.powf(k as f64 / steps as f64);
+        step(&mut picture, &grads, &mut picture_state, 1e-2 * decay);
+        if k >= hold {
+            for ((_, parameter), state) in net.parameters_mut().into_iter().zip(&mut net_states) {
+                step(parameter, &grads, state, 2e-3 * decay);
             }
         }
     }
@@ -212,14 +178,14 @@ fn learn(frames: &[Vec<f64>], start: &[f64], recipe: &Recipe, device: &Device) -
             .forward(frame, &inputs, Extractor::Frozen)
             .expect("the shapes fit");
         let output = composite(inputs.color, &field).expect("the shapes fit");
-        mean_intensity.push(to_vec(field.intensity().mean())[0]);
-        let mean = to_vec(cell_means(output.centroid(), 1, 1));
+        mean_intensity.push(values(field.intensity().mean())[0]);
+        let mean = values(cell_means(output.centroid(), 1, 1));
         for axis in 0..2 {
             shift[axis] += mean[axis] / frames.len() as f64;
         }
     }
     Outcome {
-        picture: to_vec(picture),
+        picture: values(picture),
         mean_intensity,
         shift,
     }

@@ -2,26 +2,16 @@
 
 use burn::tensor::{DType, Device, Tensor};
 use glam::{DAffine3, DQuat, DVec3};
-use limpid_tests::{GradLimits, check_gradients, devices_in, in_pool, quick_devices, tensor};
+use limpid_tests::{
+    GradLimits, Noise, check_gradients, devices_in, in_pool, quick_devices, tensor, values,
+};
 use motion_bases::{
     Fit, FitCamera, FitData, InitOptions, MotionBases, MotionError, MotionInit, Tracks3d, fit_loss,
     initialize, positions_all_frames,
 };
 
-/// Numbers in [-1, 1) that look random and are the same everywhere.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    fn vector(&mut self) -> DVec3 {
-        DVec3::new(self.next(), self.next(), self.next())
-    }
+fn vector(noise: &mut Noise) -> DVec3 {
+    DVec3::new(noise.number(), noise.number(), noise.number())
 }
 
 /// Two rigid bodies 5 units before the camera, one driving past, one turning; with the true paths.
@@ -55,7 +45,7 @@ pub(crate) fn two_movers(tracks_each: usize, frames: usize, noise: f64) -> Scene
             .collect(),
     };
     for row in 0..2 * tracks_each {
-        let local = 0.4 * random.vector();
+        let local = 0.4 * vector(&mut random);
         for t in 0..frames {
             let time = (t as f64 - middle) / frames as f64;
             let at = if row % 2 == 0 {
@@ -72,7 +62,7 @@ pub(crate) fn two_movers(tracks_each: usize, frames: usize, noise: f64) -> Scene
             let seen = if hidden {
                 center.midpoint(at)
             } else {
-                at + noise * random.vector()
+                at + noise * vector(&mut random)
             };
             scene.tracks.positions.push(seen);
             scene.tracks.visible.push(!hidden);
@@ -143,8 +133,11 @@ impl Fitting {
     }
 
     fn positions(&self) -> Vec<f64> {
-        let positions = positions_all_frames(&self.bases(), &self.leaves[2], &self.leaves[3]);
-        positions.into_data().iter::<f64>().collect()
+        values(positions_all_frames(
+            &self.bases(),
+            &self.leaves[2],
+            &self.leaves[3],
+        ))
     }
 
     /// Mean distance to the true paths, over all kept tracks and frames.
@@ -181,7 +174,7 @@ fn start(init: &MotionInit) -> Start {
 pub(crate) fn shaken_start(init: &MotionInit) -> Start {
     let (mut start, mut random) = (start(init), Noise(5));
     for (_, _, values) in &mut start {
-        values.iter_mut().for_each(|v| *v += 0.05 * random.next());
+        values.iter_mut().for_each(|v| *v += 0.05 * random.number());
     }
     start
 }
@@ -398,9 +391,8 @@ fn tracks_dealt_into_groups_are_all_fitted() {
         let moved = (fit.leaves[3].clone().inner() - start.inner())
             .abs()
             .sum_dim(1);
-        let moved: Vec<f64> = moved.into_data().iter::<f64>().collect();
         assert!(
-            moved.iter().all(|&m| m > 0.0),
+            values(moved).iter().all(|&m| m > 0.0),
             "{name}: a track was left out"
         );
     }

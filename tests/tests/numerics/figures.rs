@@ -71,13 +71,18 @@ fn every_case_keeps_the_promise_on_every_device() {
 #[test]
 fn what_is_done_for_stability_does_something() {
     for m in measures() {
-        // The exponential is there for speed: it may be worse than the library's, but not by much.
-        let limit = if m.place == "splatting, inner loops" {
-            4.0 * m.without
-        } else {
-            m.without
+        let limit = match m.place {
+            // The exponential is there for speed: it may be worse than the library's, but not by much.
+            "splatting, inner loops" => 4.0 * m.without,
+            // A gradient that counts as 1e15 costs a third of the way.
+            "Adam" => 0.5 * m.without,
+            // Without, nothing comes out that is usable at all.
+            _ if m.without.is_nan() => 1e-6,
+            _ => 0.1 * m.without,
         };
-        assert!(m.with <= limit || m.without.is_nan(), "{m:?}");
-        assert!(m.with.is_finite(), "{m:?}");
+        assert!(
+            m.with.is_finite() && m.with <= limit,
+            "{m:?}: more than {limit:e}"
+        );
     }
 }

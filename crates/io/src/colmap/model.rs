@@ -22,7 +22,8 @@ pub(crate) struct Model {
 }
 
 impl Model {
-    /// The view of one of its images. Cameras that no view has may be what they like.
+    /// The view of one of its images. The numbers of cameras that no view has may be what they like; their kinds have to be
+    /// known, for a binary file cannot be read on past a camera of another.
     pub(crate) fn view(
         &self,
         posed: &ModelImage,

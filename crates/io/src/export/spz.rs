@@ -31,8 +31,13 @@ const COLOR_SCALE: f32 = 0.15;
 pub struct SpzLoss {
     /// Positions are rounded to this, in scene units.
     pub position_step: f32,
+    /// Largest coordinate of all positions, in scene units: what the step follows from.
+    pub farthest: f32,
     /// Gaussians with a scale outside of what the format has, which is e^-10 to e^5.94 scene units: it is the nearest there.
     pub clipped_scales: usize,
+    /// Gaussians with a colour outside of what the format has, which is -0.44 to 1.44 where white is 1, and -1 to 0.99 for
+    /// coefficients over degree 0: it is the nearest there.
+    pub clipped_colors: usize,
 }
 
 /// Writes Gaussians as SPZ version 3, atomically, and says what the format lost beside its usual rounding.
@@ -53,15 +58,20 @@ pub fn write_spz(path: &Path, gaussians: &Gaussians) -> Result<SpzLoss, IoError>
     let bits = fractional_bits(farthest);
     let turned = turned(gaussians, OPENGL);
     let degree = u8::try_from(turned.sh_degree).expect("a degree from 0 to 3");
+    let num_sh = (turned.sh_degree + 1).pow(2);
+    let rows = || turned.sh.chunks_exact(3 * num_sh);
     let scales = turned.log_scales.iter();
-    let outside = |scale: &&[f32; 3]| {
-        scale
-            .iter()
-            .any(|s| !(0.0..=255.0).contains(&stored_scale(*s).round()))
+    let is_clipped_scale = |scale: &&[f32; 3]| scale.iter().any(|s| is_clipped(stored_scale(*s)));
+    let is_clipped_color = |sh: &&[f32]| {
+        let (color, rest) = sh.split_at(3);
+        color.iter().any(|c| is_clipped(stored_color(*c)))
+            || rest.iter().any(|c| is_clipped(stored_sh(*c)))
     };
     let loss = SpzLoss {
         position_step: 0.5_f32.powi(bits),
-        clipped_scales: scales.filter(outside).count(),
+        farthest,
+        clipped_scales: scales.filter(is_clipped_scale).count(),
+        clipped_colors: rows().filter(is_clipped_color).count(),
     };
     write_atomic(path, |out| {
         let mut out = GzEncoder::new(out, Compression::best());
@@ -74,21 +84,17 @@ pub fn write_spz(path: &Path, gaussians: &Gaussians) -> Result<SpzLoss, IoError>
             let fixed = (v * unit).round() as i32;
             out.write_all(&fixed.to_le_bytes()[..3])?;
         }
-        let num_sh = (turned.sh_degree + 1).pow(2);
-        let rows = || turned.sh.chunks_exact(3 * num_sh);
         let opacities = turned.opacity_logits.iter();
         out.write_all(&bytes(opacities.map(|o| 255.0 * opacity(*o))))?;
         let colors = rows().flat_map(|sh| &sh[..3]);
-        let colors = colors.map(|c| c * (COLOR_SCALE * 255.0) + 127.5);
-        out.write_all(&bytes(colors))?;
+        out.write_all(&bytes(colors.map(|c| stored_color(*c))))?;
         let scales = turned.log_scales.as_flattened().iter();
         out.write_all(&bytes(scales.map(|s| stored_scale(*s))))?;
         for quat in &turned.quats {
             out.write_all(&smallest_three(*quat).to_le_bytes())?;
         }
         for sh in rows() {
-            let coded = sh[3..].iter().map(|c| c * 128.0 + 128.0);
-            out.write_all(&bytes(coded))?;
+            out.write_all(&bytes(sh[3..].iter().map(|c| stored_sh(*c))))?;
         }
         out.finish()?.flush()
     })?;
@@ -103,6 +109,21 @@ fn fractional_bits(farthest: f32) -> i32 {
 
 fn stored_scale(log_scale: f32) -> f32 {
     (log_scale + 10.0) * 16.0
+}
+
+/// Of a coefficient of degree 0.
+fn stored_color(coefficient: f32) -> f32 {
+    coefficient * (COLOR_SCALE * 255.0) + 127.5
+}
+
+/// Of the other coefficients.
+fn stored_sh(coefficient: f32) -> f32 {
+    coefficient * 128.0 + 128.0
+}
+
+/// Whether a byte loses more of a value than by rounding it.
+fn is_clipped(value: f32) -> bool {
+    !(0.0..=255.0).contains(&value.round())
 }
 
 /// Rounded and clamped.

@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat3, DVec3};
 use splat_core::Camera;
 
 use crate::camera_model::Lens;
-use crate::colmap::{find_model, read_model};
+use crate::colmap::{find_model, read_points};
 use crate::folder::{PICTURES, list};
 use crate::npy::read_npy;
 use crate::picture::read_size;
@@ -102,10 +102,10 @@ impl Cameras {
     }
 }
 
-/// The points of the COLMAP model that the cameras are from, where it is there.
+/// The points of the COLMAP model that the cameras are from, where it is there. Its own cameras are not read.
 pub(super) fn points(root: &Path) -> Result<Vec<SparsePoint>, IoError> {
     match find_model(root) {
-        Some(folder) => Ok(read_model(&folder)?.points),
+        Some(folder) => read_points(&folder),
         None => Ok(Vec::new()),
     }
 }

@@ -105,7 +105,7 @@ fn every_number_comes_back_within_its_rounding() {
         let all = gaussians(n, degree);
         let (read, loss) = written(&all);
         assert_eq!((read.degree, read.means.len()), (degree, n));
-        assert_eq!(loss.clipped_scales, 0);
+        assert_eq!((loss.clipped_scales, loss.clipped_colors), (0, 0));
         assert_eq!(loss.position_step, 0.5_f32.powi(read.bits));
         assert!(loss.position_step < 1e-5, "fine for a scene of 20 units");
         let width = 3 * (degree + 1).pow(2);
@@ -149,6 +149,7 @@ fn positions_use_all_the_bits_that_there_are() {
             .for_each(|m| *m = [(); 3].map(|()| size * numbers.next()));
         all.means[0] = [size, -size, size];
         let (read, loss) = written(&all);
+        assert_eq!(loss.farthest, size);
         let finest = (size / 8_388_607.0).max(0.5_f32.powi(20));
         assert!(
             loss.position_step < 2.01 * finest,
@@ -174,7 +175,7 @@ fn the_ends_of_numbers_are_the_ends_of_bytes() {
     assert_eq!((read.opacities[0], read.opacities[1]), (1.0, 0.0));
     assert_eq!(read.log_scales[2], [5.9375; 3]);
     assert_eq!(read.log_scales[3], [-10.0; 3]);
-    assert_eq!(loss.clipped_scales, 2);
+    assert_eq!((loss.clipped_scales, loss.clipped_colors), (2, 2));
     assert_eq!(
         read.quats[4],
         [1.0, 0.0, 0.0, 0.0],
@@ -182,6 +183,35 @@ fn the_ends_of_numbers_are_the_ends_of_bytes() {
     );
     let all = read.quats.iter().flatten().chain(&read.sh);
     assert!(all.clone().all(|v| v.is_finite()));
+}
+
+#[test]
+fn colours_beyond_what_a_byte_holds_are_counted() {
+    const WIDTH: usize = 12;
+    // The coefficient of x, whose sign stays.
+    const X: usize = 9;
+    let of_color = |byte: f32| (byte - 127.5) / (255.0 * 0.15);
+    let of_rest = |byte: f32| (byte - 128.0) / 128.0;
+    let mut all = gaussians(6, 1);
+    // Less than half a step beyond is rounding.
+    (all.sh[0], all.sh[1]) = (of_color(255.4), of_color(-0.4));
+    (all.sh[X], all.sh[X + 1]) = (of_rest(255.4), of_rest(-0.4));
+    assert_eq!(written(&all).1.clipped_colors, 0);
+    all.sh[WIDTH] = of_color(255.6);
+    all.sh[2 * WIDTH + 2] = of_color(-0.6);
+    all.sh[3 * WIDTH + X] = of_rest(255.6);
+    // One Gaussian, whichever of its numbers.
+    all.sh[4 * WIDTH + X + 2] = of_rest(-0.6);
+    all.sh[4 * WIDTH] = 9.0;
+    let (read, loss) = written(&all);
+    assert_eq!((loss.clipped_colors, loss.clipped_scales), (4, 0));
+    for (found, end) in [
+        (read.colors[1][0], 255.0),
+        (read.colors[2][2], 0.0),
+        (read.colors[4][0], 255.0),
+    ] {
+        assert!((found - of_color(end)).abs() < 1e-5, "{found}");
+    }
 }
 
 #[test]

@@ -309,6 +309,28 @@ fn depth_and_masks_of_another_size_follow_their_picture_and_it_is_said() {
 }
 
 #[test]
+fn masks_of_numbers_are_undistorted_as_those_of_255() {
+    let folder = tempfile::tempdir().unwrap();
+    take(folder.path(), &LENSES[2], 1);
+    let plain = Scene::open(folder.path()).unwrap();
+    for name in names(COUNT) {
+        let path = folder.path().join("masks").join(&name);
+        let mut mask = image::open(&path).unwrap().to_luma8();
+        for (x, y, pixel) in mask.enumerate_pixels_mut() {
+            if pixel.0[0] > 0 {
+                pixel.0[0] = 1 + ((x + y) % 3) as u8;
+            }
+        }
+        mask.save(&path).unwrap();
+    }
+    let numbered = Scene::open(folder.path()).unwrap();
+    for (found, expected) in numbered.frames.iter().zip(&plain.frames) {
+        assert!(found.mask.is_some(), "there are masks");
+        assert!(found.mask == expected.mask, "{}", found.view.name);
+    }
+}
+
+#[test]
 fn points_outside_of_what_a_lens_sees_are_hidden() {
     let folder = tempfile::tempdir().unwrap();
     take(folder.path(), &LENSES[0], 1);

@@ -105,6 +105,14 @@ fn the_stereo_blur_dataset_is_read_as_its_authors_read_it() {
         make::POINTS.len(),
         "points of its own model"
     );
+    // Of which nothing else is used: its cameras may be of a kind that no reader of ours knows.
+    colmap_binary(
+        &folder.path().join("sparse"),
+        &names(2 * FRAMES),
+        (10, &[1.0; 12]),
+    );
+    let scene = without_movers(folder.path()).unwrap();
+    assert_eq!(scene.points.len(), make::POINTS.len());
 }
 
 #[test]

@@ -10,6 +10,7 @@ mod distorted;
 mod dyblurf;
 mod dycheck;
 mod exposure;
+mod images;
 mod make;
 mod masks;
 mod megasam;

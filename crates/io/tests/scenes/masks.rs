@@ -81,6 +81,51 @@ fn masks_of_small_numbers_move_where_they_are_not_zero() {
     assert!(scene.notes.iter().any(told), "{:?}", scene.notes);
 }
 
+/// How much of a pixel moves is the same whichever number its mover has.
+#[test]
+fn smaller_masks_of_numbers_are_those_of_255() {
+    let masks = |left: u8, right: u8, downscale: usize| {
+        let som = Som::new();
+        for i in 0..FRAMES {
+            let at = som.path(&format!("masks/{i:05}.png"));
+            make::picture(&at, (WIDTH, HEIGHT), |x, y| match (x, y) {
+                (0..5, _) => left,
+                (13.., 2..9) => right,
+                _ => 0,
+            });
+        }
+        let options = LoadOptions {
+            downscale,
+            ..LoadOptions::default()
+        };
+        let scene = Scene::open_with(som.root(), &options).unwrap();
+        let masks = scene.frames.into_iter().map(|f| f.mask.unwrap());
+        masks.collect::<Vec<_>>()
+    };
+    for downscale in [1, 2, 3, 4] {
+        let expected = masks(255, 255, downscale);
+        for (left, right) in [(1, 20), (20, 1), (3, 3), (2, 127)] {
+            let found = masks(left, right, downscale);
+            assert!(found == expected, "{left} and {right} / {downscale}");
+        }
+    }
+    // A quarter of each pixel in the second column.
+    assert_eq!(masks(1, 20, 4)[0].values[..2], [1.0, 0.25]);
+}
+
+/// The numbers of the first frames may be small where another's say that they are shares.
+#[test]
+fn masks_are_read_alike_in_all_frames() {
+    let som = Som::new();
+    for (i, most) in [0, 64, 255].into_iter().enumerate() {
+        let at = som.path(&format!("masks/{i:05}.png"));
+        make::picture(&at, (WIDTH, HEIGHT), |x, _| if x < 5 { most } else { 0 });
+    }
+    let scene = Scene::open(som.root()).unwrap();
+    let first = |i: usize| scene.frames[i].mask.as_ref().unwrap().values[0];
+    assert_eq!([first(0), first(1), first(2)], [0.0, 64.0 / 255.0, 1.0]);
+}
+
 #[test]
 fn masks_in_the_alpha_channel_are_read() {
     let som = Som::new();

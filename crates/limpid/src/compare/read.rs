@@ -1,6 +1,6 @@
 //! A run that is compared, as its report has it.
 
-use crate::config::Config;
+use crate::config::{Backend, Config};
 use crate::failure::Failure;
 use crate::refresh;
 use crate::report;
@@ -70,13 +70,18 @@ pub(super) struct ViewPictures<T> {
 }
 
 impl Compared {
-    /// A run by its report, which is written first where there is none that says how the run is now.
-    pub(super) fn open(name: String, folder: &Path) -> Result<Self, Failure> {
+    /// A run by its report, which is written first, on `backend` or where the run was trained, where there is none that says how the
+    /// run is now.
+    pub(super) fn open(
+        name: String,
+        folder: &Path,
+        backend: Option<Backend>,
+    ) -> Result<Self, Failure> {
         let config = Config::of_run(folder)?;
         let current = refresh::is_current(folder);
         let mut found = current.then(|| read(folder)).flatten();
         if found.is_none() {
-            refresh::write(folder, &config, None)?;
+            refresh::write(folder, &config.clone().on(backend), None)?;
             found = read(folder);
         }
         let (facts, gallery) = found.ok_or_else(|| {

@@ -8,6 +8,8 @@ use trainer::differences;
 
 /// Columns of a terminal.
 const COLUMNS: usize = 80;
+/// What stands above the settings.
+const SETTINGS: &str = "settings that differ";
 /// What there is not.
 const NONE: &str = "–";
 
@@ -179,7 +181,9 @@ fn value_text(value: &Value) -> String {
 pub(super) fn text(names: &[&str], figures: &[Row], settings: &[Row]) -> String {
     let rows = || figures.iter().chain(settings);
     let width = |text: &str| text.chars().count();
-    let labels = rows().map(|row| width(&row.label)).max().unwrap_or(0);
+    let heading = (!settings.is_empty()).then_some(SETTINGS);
+    let labels = rows().map(|row| row.label.as_str()).chain(heading);
+    let labels = labels.map(width).max().unwrap_or(0);
     let column = |k: usize| {
         let cells = rows().map(|row| width(&row.cells[k]) + 1);
         // Two columns between a run and the next.
@@ -208,9 +212,9 @@ pub(super) fn text(names: &[&str], figures: &[Row], settings: &[Row]) -> String 
             let star = |k: usize| if row.best[k] { '*' } else { ' ' };
             line(&row.label, &|k| format!("{}{}", row.cells[k], star(k)));
         }
-        if !settings.is_empty() {
+        if let Some(heading) = heading {
             line("", &|_| String::new());
-            line("settings that differ", &|_| String::new());
+            line(heading, &|_| String::new());
         }
         for row in settings {
             line(&row.label, &|k| format!("{} ", row.cells[k]));
@@ -306,6 +310,20 @@ mod tests {
                     &[usual.clone(), "7".to_owned(), usual][..]
                 ),
             ]
+        );
+    }
+
+    #[test]
+    fn settings_with_short_names_are_listed_of_runs_without_scores() {
+        let mut runs = [run("a", Value::Null), run("b", Value::Null)];
+        runs[1].config.settings.seed = 2;
+        let text = text(&["a", "b"], &figures(&runs, true), &settings(&runs));
+        let lines: Vec<&str> = text.lines().collect();
+        let heading = lines.iter().position(|line| *line == SETTINGS);
+        let below = heading.and_then(|heading| lines.get(heading + 1));
+        assert!(
+            below.is_some_and(|line| line.starts_with("seed ")),
+            "{text}"
         );
     }
 

@@ -1,6 +1,6 @@
 //! How well a reading of depth and poses agrees with points and pictures.
 
-use super::reading::{Reading, readings};
+use super::reading::{Masks, Reading, readings};
 use crate::alignment::{DisparityFit, MIN_POINTS, points_from};
 use crate::correspondence::{every, seen_in};
 use crate::lifting::sample_color;
@@ -17,6 +17,8 @@ const LOOKED_UP: usize = 4000;
 const PAIRS: usize = 48;
 /// … and so many where a scale is looked for.
 const FEW_PAIRS: usize = 6;
+/// … of so many between one and ten times another.
+const SCALES_PER_DECADE: f64 = 8.0;
 /// Of so many pixels one is enough for a frame's median depth.
 const SPARSE: usize = 17;
 /// Pairs that share fewer pixels than this share of those with depth say nothing.
@@ -104,6 +106,11 @@ impl Fit {
         }
     }
 
+    /// Whether depth is multiplied by more than lies between scales that are tried.
+    pub(super) fn is_rescaled(&self) -> bool {
+        self.scale.log10().abs() > 0.5 / SCALES_PER_DECADE
+    }
+
     /// Pose of a frame's camera.
     pub(super) fn pose(&self, scene: &Scene, frame: usize) -> DAffine3 {
         self.reading.pose(&scene.frames[frame])
@@ -124,19 +131,25 @@ fn has_depth(scene: &Scene) -> bool {
     scene.frames.iter().any(|f| f.depth.is_some())
 }
 
-/// What each reading makes of a scene, whose masks say that such a share of it moves; as given first. Where that is most of the
-/// pictures, the rest is what moves, unless pictures differ more where the masks are.
+/// What each reading makes of a scene, whose masks say that such a share of it moves (`None` where there are none or they are left
+/// out); as given first. Where that is most of the pictures, the rest is what moves, unless pictures differ more where the masks
+/// are.
 pub(super) fn fits(scene: &Scene, moving_share: Option<f64>) -> Vec<Fit> {
     let has_depth = has_depth(scene);
     let free_scale = has_depth && scene.points.len() < MIN_POINTS;
     let moves_on_masks = || {
-        let as_given = readings(scene.layout, false, free_scale).into_iter().next();
+        let as_given = readings(scene.layout, Masks::Moving, free_scale);
+        let as_given = as_given.into_iter().next();
         let warp = as_given.and_then(|reading| fit(scene, reading).warp);
         warp.and_then(|warp| warp.moving)
             .is_some_and(|moving| moving > 1.0)
     };
-    let inverse_masks = moving_share.is_some_and(|share| share > MOST) && !moves_on_masks();
-    let mut readings = readings(scene.layout, inverse_masks, free_scale);
+    let masks = match moving_share {
+        None => Masks::Nothing,
+        Some(share) if share > MOST && !moves_on_masks() => Masks::Still,
+        Some(_) => Masks::Moving,
+    };
+    let mut readings = readings(scene.layout, masks, free_scale);
     if !has_depth {
         readings.retain(|r| !r.inverse_depth);
     }
@@ -188,7 +201,7 @@ fn best_scale(scene: &Scene, fit: &Fit) -> f64 {
         return 1.0;
     }
     let unit = median(&steps) / median(&depths);
-    let scales = (0..=24).map(|k| unit * 10_f64.powf(f64::from(k) / 8.0));
+    let scales = (0..=24).map(|k| unit * 10_f64.powf(f64::from(k) / SCALES_PER_DECADE));
     let ratio = |scale: f64| {
         let scaled = Fit {
             scale,
@@ -374,7 +387,7 @@ fn step(camera: &Camera) -> usize {
 }
 
 /// How many of a frame's pixels that are looked up have depth.
-fn num_known(scene: &Scene, fit: &Fit, frame: usize) -> usize {
+pub(super) fn num_known(scene: &Scene, fit: &Fit, frame: usize) -> usize {
     let camera = &scene.frames[frame].view.camera;
     let pixels = every(camera, step(camera));
     pixels.filter(|i| fit.depth(scene, frame, *i) > 0.0).count()

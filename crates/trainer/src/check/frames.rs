@@ -2,7 +2,8 @@
 //! show.
 
 use super::finding::{Finding, Verdict};
-use super::fit::{Fit, LEAST_SHIFT, moved};
+use super::fit::{Fit, LEAST_SHIFT, moved, num_known};
+use crate::alignment::MIN_POINTS;
 use crate::statistics::median;
 use io::{Scene, list_names};
 
@@ -27,7 +28,9 @@ struct Misfit {
 fn misfits(scene: &Scene, fit: &Fit) -> Vec<Misfit> {
     let count = scene.frames.len();
     let mut all = vec![Misfit::default(); count];
-    for a in (0..count).filter(|a| scene.frames[*a].depth.is_some()) {
+    // Depth that is missing all over puts a frame nowhere, which says nothing of poses.
+    let has_depth = |a: &usize| num_known(scene, fit, *a) >= MIN_POINTS;
+    for a in (0..count).filter(has_depth) {
         let around = a.saturating_sub(NEIGHBOURS)..(a + NEIGHBOURS + 1).min(count);
         for b in around.filter(|b| *b != a) {
             let mut shifts = Vec::new();

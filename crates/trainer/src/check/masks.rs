@@ -2,6 +2,7 @@
 
 use super::finding::{Finding, Verdict};
 use super::fit::Fit;
+use super::reading::Masks;
 use io::Scene;
 
 /// Movers that fill more of the pictures than this leave too little that is still.
@@ -22,7 +23,7 @@ pub(super) fn moving_share(scene: &Scene) -> Option<f64> {
 pub(super) fn check(share: f64, fits: &[Fit]) -> Option<Finding> {
     let given = fits.first()?;
     let mut text = format!("masks say that {:.1} % of the pictures move", 100.0 * share);
-    let turned = given.reading.inverse_masks;
+    let turned = given.reading.masks == Masks::Still;
     if let Some(moving) = given.warp.as_ref().and_then(|w| w.moving) {
         let what = if turned { "outside of them" } else { "on them" };
         text += &format!(

@@ -22,8 +22,11 @@ fn proposal(fits: &[Fit]) -> Option<(String, &Fit)> {
     let poses = reading.poses().map(|poses| format!("poses as {poses}"));
     let depth = match (reading.inverse_depth, reading.free_scale) {
         (true, _) => Some("depth as inverse depth".to_owned()),
-        (false, true) => Some(format!("depth times {scale:.2e}")),
-        (false, false) => None,
+        // Where poses are what is wrong, the nearest scale that was tried says nothing of depth.
+        (false, true) if poses.is_none() || best.is_rescaled() => {
+            Some(format!("depth times {scale:.2e}"))
+        }
+        (false, _) => None,
     };
     let parts: Vec<String> = poses.into_iter().chain(depth).collect();
     Some((parts.join(" and "), best))

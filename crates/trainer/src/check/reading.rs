@@ -47,6 +47,23 @@ const COLMAP: [Convention; 4] = [
     },
 ];
 
+/// As given first. Files of LLFF hold these as well, with their axes in another order.
+const CAMERA_TO_WORLD: [Convention; 4] = [
+    AS_GIVEN,
+    Convention {
+        name: Some("camera-to-world poses with OpenGL axes (y up, z back)"),
+        meant: |pose| flip() * *pose,
+    },
+    Convention {
+        name: Some("world-to-camera poses"),
+        meant: DAffine3::inverse,
+    },
+    Convention {
+        name: Some("world-to-camera poses with OpenGL axes"),
+        meant: |pose| flip() * pose.inverse(),
+    },
+];
+
 const AS_GIVEN: Convention = Convention {
     name: None,
     meant: |pose| *pose,
@@ -57,14 +74,33 @@ fn flip() -> DAffine3 {
     DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)))
 }
 
+/// The customs that files of a layout may be in.
+fn conventions(layout: &str) -> [Convention; 4] {
+    match layout {
+        "nerfstudio" => NERFSTUDIO,
+        "MegaSaM" | "ViPE" | "DyBluRF" | "D2RF" => CAMERA_TO_WORLD,
+        _ => COLMAP,
+    }
+}
+
+/// What masks are taken to show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Masks {
+    /// Nothing: there are none, or they are left out.
+    Nothing,
+    /// What moves.
+    Moving,
+    /// What stands still.
+    Still,
+}
+
 /// A way to read depth, poses and masks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reading {
     convention: Convention,
     /// Depth is where disparity is meant, or the other way round.
     pub(super) inverse_depth: bool,
-    /// Masks show what does not move.
-    pub(super) inverse_masks: bool,
+    pub(super) masks: Masks,
     /// Depth is in a unit of its own.
     pub(super) free_scale: bool,
 }
@@ -75,13 +111,17 @@ impl Reading {
         self.convention.name
     }
 
-    /// What moves by a frame's mask.
-    pub(super) fn mask<'a>(&self, mask: &'a Map) -> Cow<'a, Map> {
-        if !self.inverse_masks {
-            return Cow::Borrowed(mask);
+    /// What moves by a frame's mask, where that shows anything.
+    pub(super) fn mask<'a>(&self, frame: &'a Frame) -> Option<Cow<'a, Map>> {
+        let mask = frame.mask.as_ref()?;
+        match self.masks {
+            Masks::Nothing => None,
+            Masks::Moving => Some(Cow::Borrowed(mask)),
+            Masks::Still => {
+                let values = mask.values.iter().map(|value| 1.0 - value).collect();
+                Some(Cow::Owned(Map { values, ..*mask }))
+            }
         }
-        let values = mask.values.iter().map(|value| 1.0 - value).collect();
-        Cow::Owned(Map { values, ..*mask })
     }
 
     /// The frame's pose.
@@ -92,7 +132,12 @@ impl Reading {
     /// Whether a frame's pixel shows something that moves.
     pub(super) fn moves(&self, frame: &Frame, pixel: usize) -> bool {
         let mask = frame.mask.as_ref();
-        mask.is_some_and(|m| (m.values[pixel] > 0.5) != self.inverse_masks)
+        let is_white = mask.map(|m| m.values[pixel] > 0.5);
+        match self.masks {
+            Masks::Nothing => false,
+            Masks::Moving => is_white == Some(true),
+            Masks::Still => is_white == Some(false),
+        }
     }
 
     /// z-depth of a pixel before it is aligned; 0 where it is missing.
@@ -107,16 +152,12 @@ impl Reading {
 }
 
 /// As given first. Without points that tell depth's unit, other readings have one of their own.
-pub(super) fn readings(layout: &str, inverse_masks: bool, free_scale: bool) -> Vec<Reading> {
-    let conventions = if layout == "nerfstudio" {
-        NERFSTUDIO
-    } else {
-        COLMAP
-    };
+pub(super) fn readings(layout: &str, masks: Masks, free_scale: bool) -> Vec<Reading> {
+    let conventions = conventions(layout);
     let reading = |inverse_depth, free_scale, convention| Reading {
         convention,
         inverse_depth,
-        inverse_masks,
+        masks,
         free_scale,
     };
     let given = reading(false, false, AS_GIVEN);

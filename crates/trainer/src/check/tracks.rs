@@ -109,7 +109,7 @@ fn still(scene: &Scene, fit: &Fit) -> Option<Finding> {
         };
         // What lies beside a mask may belong to what it shows.
         let margin = pixels_at_256(MARGIN, from.view.camera.width);
-        let mask = from.mask.as_ref().map(|mask| fit.reading.mask(mask));
+        let mask = fit.reading.mask(from);
         let near_mask = mask.map(|m| dilate(&m, margin, 0.02));
         let moves = |pixel: usize| near_mask.as_ref().is_some_and(|m| m[pixel]);
         let world_from_query = fit.pose(scene, query.frame).inverse();

@@ -21,7 +21,7 @@ pub(crate) const SMALLEST_FIRST: f64 = 1e-30;
 /// Second moments below this are zero: their root vanishes beside epsilon.
 pub(crate) const SMALLEST_SECOND: f64 = 1e-37;
 
-/// SteppedRows that step, and how often they have then done so.
+/// Rows that step, and how often they have then done so.
 #[derive(Clone, Debug)]
 pub(crate) enum SteppedRows {
     /// All, so often.

@@ -58,7 +58,6 @@ fn count(on_edge: &[bool]) -> usize {
     on_edge.iter().filter(|&&on_edge| on_edge).count()
 }
 
-/// A number in [low, high].
 /// A plane seen by a pinhole of any focal length, slanted up to where its horizon touches a corner.
 fn plane(u: &mut Unstructured<'_>) -> Result<Picture> {
     let (width, height) = (u.int_in_range(6..=40)?, u.int_in_range(6..=40)?);

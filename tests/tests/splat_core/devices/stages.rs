@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use burn::tensor::{DType, Device};
-use limpid_tests::devices;
+use limpid_tests::{devices, largest};
 use splat_core::{InImage, Stages, prepare};
 
 use super::case::{CASES, Case, Inputs};
@@ -81,7 +81,7 @@ fn off(found: &InImage, exact: &InImage, case: &Case) -> f64 {
         let differences: Vec<f64> = found.iter().zip(exact).map(|(f, e)| f - e).collect();
         size(&differences) / of
     });
-    errors.into_iter().fold(0.0, f64::max)
+    largest(errors)
 }
 
 /// Tiles and rows that are listed together.
@@ -99,14 +99,12 @@ fn projection_and_culling_on_every_device_follow_double_on_the_cpu() {
         for (name, device) in devices() {
             let found = stages(kind, &case, &device.autodiff(), DType::F32);
             assert_eq!(found.projected.len(), case.rows, "{name}, {kind:?}");
-            let mut worst: f64 = 0.0;
-            for (row, (found, exact)) in found.projected.iter().zip(&exact.projected).enumerate() {
-                match (found, exact) {
-                    (Some(found), Some(exact)) => worst = worst.max(off(found, exact, &case)),
-                    (None, None) => {}
-                    _ => panic!("{name}, {kind:?}, {case:?}: row {row}, {found:?}, {exact:?}"),
-                }
-            }
+            let pairs = found.projected.iter().zip(&exact.projected).enumerate();
+            let worst = largest(pairs.map(|(row, pair)| match pair {
+                (Some(found), Some(exact)) => off(found, exact, &case),
+                (None, None) => 0.0,
+                _ => panic!("{name}, {kind:?}, {case:?}: row {row}, {pair:?}"),
+            }));
             assert!(worst < 1e-5, "{name}, {kind:?}, {case:?}: off by {worst:e}");
         }
     }

@@ -216,9 +216,10 @@ mod tests {
             .collect()
     }
 
+    /// NaN where one is.
     fn largest(of: &[[f64; 2]]) -> f64 {
-        let all = of.as_flattened().iter();
-        all.fold(0.0, |most, v| v.abs().max(most))
+        let all = of.as_flattened().iter().map(|v| v.abs());
+        all.max_by(f64::total_cmp).unwrap_or(0.0)
     }
 
     fn missed(foretold: &Foretold, means: &[[f64; 2]]) -> Vec<[f64; 2]> {

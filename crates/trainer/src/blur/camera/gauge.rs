@@ -131,10 +131,11 @@ mod tests {
         taken.into_iter().flat_map(|taken| taken.path).collect()
     }
 
-    /// By how much two lists are apart where most.
+    /// By how much two lists are apart where most; NaN where one is.
     fn most_apart(a: &[f64], b: &[f64]) -> f64 {
-        let pairs = a.iter().zip(b);
-        pairs.fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()))
+        assert_eq!(a.len(), b.len());
+        let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+        apart.max_by(f64::total_cmp).unwrap_or(0.0)
     }
 
     #[test]

@@ -6,6 +6,7 @@
 use super::Lens;
 use crate::tensors::rows_from;
 use burn::tensor::{Tensor, activation::softplus};
+use host::{product, products};
 use splat_core::cpu::LOW_PASS;
 use splat_core::{Splats, Viewpoint};
 
@@ -25,7 +26,7 @@ const NOTHING: f64 = 1e-24;
 pub(super) fn grown(splats: Splats, view: &Viewpoint, lens: &Lens) -> Splats {
     let rotation = view.cam_from_world.clone().narrow(1, 0, 3);
     let place = view.cam_from_world.clone().narrow(1, 3, 1).transpose();
-    let seen = splats.means.clone().matmul(rotation.clone().transpose()) + place; // [N, 3]
+    let seen = product(splats.means.clone(), rotation.clone().transpose()) + place; // [N, 3]
     let depth = seen.clone().narrow(1, 2, 1);
     // Aside of the axis a ball looks longer, outwards from the middle, than a disc that faces the lens.
     let distance = seen.clone().square().sum_dim(1) + NOTHING;
@@ -37,7 +38,7 @@ pub(super) fn grown(splats: Splats, view: &Viewpoint, lens: &Lens) -> Splats {
         .clamp(-LARGEST_LOG, LARGEST_LOG)
         .mul_scalar(2.0)
         .exp(); // [N, 3]
-    let toward = in_own_axes(&splats, seen.matmul(rotation));
+    let toward = in_own_axes(&splats, product(seen, rotation));
     // By logarithms, since areas of small scenes have squares that are nothing in f32.
     let area = |variances: Tensor<2>| area_along(&toward, variances).log();
     let before = area(variances.clone() + pixel.clone());
@@ -57,7 +58,7 @@ fn in_own_axes(splats: &Splats, directions: Tensor<2>) -> Tensor<2> {
         Some(left) => {
             let moving = left.dims()[0];
             let turned = directions.clone().narrow(0, 0, moving);
-            let turned = turned.reshape([moving, 1, 3]).matmul(left.clone());
+            let turned = products(turned.reshape([moving, 1, 3]), left.clone());
             let resting = rows_from(&directions, moving);
             let all = [Some(turned.reshape([moving, 3])), resting];
             Tensor::cat(all.into_iter().flatten().collect(), 0)

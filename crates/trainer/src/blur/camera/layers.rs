@@ -80,7 +80,7 @@ fn blurred(picture: Tensor<3>, radius: Tensor<2>) -> Tensor<3> {
         // Pixels do not show it as a disc: any weights with its variance, which have a gradient however small it is.
         let beside = radius.square() * 0.125;
         let along = Tensor::cat(vec![beside.clone(), -beside.clone() * 2.0 + 1.0, beside], 1);
-        along.clone().transpose().matmul(along)
+        along.clone().transpose() * along
     } else {
         let radius = radius.abs().clamp_max(LARGEST_RADIUS);
         let reach = (known.abs().min(LARGEST_RADIUS) + 0.5).floor() as usize;

@@ -51,6 +51,8 @@ pub(super) struct Parts {
 /// Which parts a trial left in, and why.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Decision {
+    /// What there was; of anything else nothing was asked.
+    before: Parts,
     parts: Parts,
     worth: Worth,
     /// Behind which iteration the next trial asks whether paths stay, if this one left that to it.
@@ -60,36 +62,44 @@ pub(crate) struct Decision {
 impl fmt::Display for Decision {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
+            before,
             parts,
             worth,
             until,
         } = self;
-        let [lens, paths] = [worth.lens, worth.paths].map(|worth| 100.0 * worth);
-        write!(
-            f,
-            "the error of the blurred frames changes by {lens:+.1} % without a lens and by {paths:+.1} % without paths: "
-        )?;
-        match (parts.paths, parts.lens, until) {
-            (true, true, None) => f.write_str("motion blur and defocus are modelled"),
-            (true, true, Some(until)) => write!(
+        f.write_str("the error of the blurred frames changes")?;
+        let changes = [
+            (before.lens, worth.lens, "a lens"),
+            (before.paths, worth.paths, "paths"),
+        ];
+        let asked = changes.iter().filter(|(was, ..)| *was);
+        for (k, (_, worth, part)) in asked.enumerate() {
+            let and = if k == 0 { "" } else { " and" };
+            write!(f, "{and} by {:+.1} % without {part}", 100.0 * worth)?;
+        }
+        if !parts.lens && !parts.paths {
+            return f.write_str(
+                ": no blur is modelled from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" \
+                 keeps it, and `--blur kernels` has another model)",
+            );
+        }
+        match (before.lens, parts.lens) {
+            (_, true) => f.write_str(": defocus is modelled")?,
+            (true, false) => f.write_str(
+                ": no defocus is modelled from here on (`camera.lens = \"always\"` keeps a lens)",
+            )?,
+            (false, false) => f.write_str(": no defocus is modelled")?,
+        }
+        match (before.paths, parts.paths, until) {
+            (_, true, None) => f.write_str(", motion blur is"),
+            (_, true, Some(until)) => write!(
                 f,
-                "defocus is modelled, and motion blur until it is asked again (iteration {until})"
+                ", motion blur is until it is asked again (iteration {until})"
             ),
-            (true, false, Some(until)) => write!(
-                f,
-                "no defocus is modelled from here on (`camera.lens = \"always\"` keeps a lens), and motion blur until it is asked \
-                 again (iteration {until})"
+            (true, false, _) => f.write_str(
+                ", and no motion blur from here on (`camera.path = \"always\"` keeps paths)",
             ),
-            (true, false, None) => f.write_str(
-                "motion blur is modelled, and no defocus from here on (`camera.lens = \"always\"` keeps a lens)",
-            ),
-            (false, true, _) => f.write_str(
-                "defocus is modelled, and no motion blur from here on (`camera.path = \"always\"` keeps paths)",
-            ),
-            (false, false, _) => f.write_str(
-                "no blur is modelled from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
-                 and `--blur kernels` has another model)",
-            ),
+            (false, false, _) => f.write_str(", and no motion blur"),
         }
     }
 }
@@ -110,7 +120,9 @@ impl CameraBlur {
             Asked::Later(next) if self.settings.path == When::Auto => Some(next),
             _ => None,
         };
-        (trial.says || parts != before).then_some(Decision {
+        let asked = before.lens || before.paths;
+        (asked && (trial.says || parts != before)).then_some(Decision {
+            before,
             parts,
             worth,
             until: until.filter(|_| worth.paths <= PATHS_PAY_BESIDE_LENS),
@@ -274,7 +286,44 @@ fn share_more(error: f64, errors: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Asked, stay};
+    use super::{Asked, Decision, Parts, Worth, stay};
+
+    #[test]
+    fn only_what_was_there_is_said_to_go_and_told_how_it_stays() {
+        let said = |before: [bool; 2], after: [bool; 2]| {
+            let parts = |[lens, paths]: [bool; 2]| Parts { paths, lens };
+            Decision {
+                before: parts(before),
+                parts: parts(after),
+                worth: Worth {
+                    lens: 0.25,
+                    paths: 0.5,
+                },
+                until: None,
+            }
+            .to_string()
+        };
+        for (before, after) in [
+            ([true, true], [true, true]),
+            ([true, true], [true, false]),
+            ([true, true], [false, true]),
+            ([true, false], [true, false]),
+            ([false, true], [false, true]),
+        ] {
+            let said = said(before, after);
+            for (k, without, keeps) in [
+                (0, "+25.0 % without a lens", "camera.lens = \"always\""),
+                (1, "+50.0 % without paths", "camera.path = \"always\""),
+            ] {
+                assert_eq!(said.contains(without), before[k], "{said}");
+                assert_eq!(said.contains(keeps), before[k] && !after[k], "{said}");
+            }
+        }
+        for gone in [[true, true], [true, false], [false, true]] {
+            let said = said(gone, [false, false]);
+            assert!(said.contains("no blur is modelled from here on"), "{said}");
+        }
+    }
 
     /// What trials came to, on videos of which it is known what blurs them, and on real ones: the worth of the lens and of the paths.
     #[test]
