@@ -243,12 +243,12 @@ impl Forecast {
         let iterations = trainer.settings().iterations;
         let frames = memory.map(|_| trainer.run().views().train.len());
         let limit = if trainer.limits_gaussians() {
-            "at most"
+            "at its peak"
         } else {
             "with as many Gaussians as now, of which there is no limit"
         };
         let memory = memory.map_or_else(String::new, |bytes| {
-            format!(", and {} MiB of memory {limit}", mib(bytes))
+            format!(", and about {} MiB of memory {limit}", mib(bytes))
         });
         // A run that was made longer keeps the moments of the one that was started.
         let course = trainer.course(trainer.schedule().iterations)?;

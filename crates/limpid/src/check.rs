@@ -133,7 +133,11 @@ fn cost(trainer: &mut Trainer, config: &Config) -> Result<String, Failure> {
         )?;
     }
     if let Some(bytes) = memory {
-        writeln!(text, "and {} MiB of memory at most", memory::mib(bytes))?;
+        writeln!(
+            text,
+            "and about {} MiB of memory at its peak",
+            memory::mib(bytes)
+        )?;
     }
     Ok(text)
 }

@@ -5,8 +5,8 @@ use crate::gpu::{Gpu, Table};
 use crate::settings::BlurKind;
 use crate::trainer::Trainer;
 
-/// The program, its threads, and what does not grow with a scene.
-const PROGRAM: u64 = 40 << 20;
+/// The program, its threads, what the end of a run makes of its pictures, and what does not grow with a scene.
+const PROGRAM: u64 = 80 << 20;
 /// Of a Gaussian: its 59 numbers, their gradients and moments, and what an iteration makes of each.
 const GAUSSIAN: u64 = 2400;
 /// The same for each render that a frame is averaged from.
@@ -18,7 +18,7 @@ const NET_PIXEL: u64 = 1300;
 /// The same for each of a kernel's K² weights.
 const KERNEL_PIXEL: u64 = 12;
 
-/// Bytes of main memory that a run takes at most, by what takes them.
+/// Bytes of main memory that a run takes at its peak, about, by what takes them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryNeed {
     /// The program itself.
@@ -99,7 +99,7 @@ impl Trainer {
         let blur = &plan.settings.blur;
         let renders = match self.run.model().blur {
             BlurModel::Off | BlurModel::Kernels(_) => 0,
-            BlurModel::Camera(_) | BlurModel::Both(_) => plan.settings.camera.samples as u64,
+            BlurModel::Camera(_) | BlurModel::Both(_) => plan.settings.camera.most_samples() as u64,
         };
         let kernels = match self.run.model().blur {
             BlurModel::Off | BlurModel::Camera(_) => 0,

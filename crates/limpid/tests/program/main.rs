@@ -330,7 +330,7 @@ fn a_check_says_what_presets_would_take_if_it_is_asked() -> Outcome {
     let presets = told.lines().filter(|line| line.contains("--preset "));
     assert_eq!(presets.count(), 3, "{told}");
     assert!(told.contains("--preset draft, 500 iterations: "), "{told}");
-    assert!(told.contains(" MiB of memory at most"), "{told}");
+    assert!(told.contains(" MiB of memory at its peak"), "{told}");
     Ok(())
 }
 

@@ -67,39 +67,47 @@ impl fmt::Display for Decision {
             worth,
             until,
         } = self;
-        f.write_str("the error of the blurred frames changes")?;
-        let changes = [
+        let asked = [
             (before.lens, worth.lens, "a lens"),
             (before.paths, worth.paths, "paths"),
         ];
-        let asked = changes.iter().filter(|(was, ..)| *was);
-        for (k, (_, worth, part)) in asked.enumerate() {
-            let and = if k == 0 { "" } else { " and" };
-            write!(f, "{and} by {:+.1} % without {part}", 100.0 * worth)?;
+        let asked = asked.iter().filter(|(was, ..)| *was);
+        let changes = asked
+            .map(|(_, worth, part)| format!("by {:+.1} % without {part}", 100.0 * worth))
+            .collect::<Vec<_>>();
+        if changes.is_empty() {
+            f.write_str("there is neither a lens nor are there paths: ")?;
+        } else {
+            let changes = changes.join(" and ");
+            write!(f, "the error of the blurred frames changes {changes}: ")?;
         }
-        if !parts.lens && !parts.paths {
-            return f.write_str(
-                ": no blur is modelled from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" \
-                 keeps it, and `--blur kernels` has another model)",
-            );
-        }
-        match (before.lens, parts.lens) {
-            (_, true) => f.write_str(": defocus is modelled")?,
-            (true, false) => f.write_str(
-                ": no defocus is modelled from here on (`camera.lens = \"always\"` keeps a lens)",
-            )?,
-            (false, false) => f.write_str(": no defocus is modelled")?,
-        }
-        match (before.paths, parts.paths, until) {
-            (_, true, None) => f.write_str(", motion blur is"),
-            (_, true, Some(until)) => write!(
+        let [no_lens, no_paths] = [
+            (
+                before.lens,
+                " from here on (`camera.lens = \"always\"` keeps a lens)",
+            ),
+            (
+                before.paths,
+                " from here on (`camera.path = \"always\"` keeps paths)",
+            ),
+        ]
+        .map(|(was, gone)| if was { gone } else { "" });
+        match (parts.paths, parts.lens, until) {
+            (true, true, None) => f.write_str("motion blur and defocus are modelled"),
+            (true, true, Some(until)) => write!(
                 f,
-                ", motion blur is until it is asked again (iteration {until})"
+                "defocus is modelled, and motion blur until it is asked again (iteration {until})"
             ),
-            (true, false, _) => f.write_str(
-                ", and no motion blur from here on (`camera.path = \"always\"` keeps paths)",
+            (true, false, Some(until)) => write!(
+                f,
+                "no defocus is modelled{no_lens}, and motion blur until it is asked again (iteration {until})"
             ),
-            (false, false, _) => f.write_str(", and no motion blur"),
+            (true, false, None) => write!(f, "motion blur is modelled, and no defocus{no_lens}"),
+            (false, true, _) => write!(f, "defocus is modelled, and no motion blur{no_paths}"),
+            (false, false, _) => f.write_str(
+                "no blur is modelled from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
+                 and `--blur kernels` has another model)",
+            ),
         }
     }
 }
@@ -120,8 +128,7 @@ impl CameraBlur {
             Asked::Later(next) if self.settings.path == When::Auto => Some(next),
             _ => None,
         };
-        let asked = before.lens || before.paths;
-        (asked && (trial.says || parts != before)).then_some(Decision {
+        (trial.says || parts != before).then_some(Decision {
             before,
             parts,
             worth,
