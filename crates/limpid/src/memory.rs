@@ -6,6 +6,9 @@ use std::fs;
 use std::path::Path;
 use trainer::{Gpu, Trainer};
 
+/// What trials and the report take besides, about: whole runs of the studies took 30 to 150 MiB more than training is said to.
+const BESIDES: u64 = 40 << 20;
+
 /// Warns where a run may take more than there is, and says what makes it smaller.
 pub(crate) fn warn(trainer: &Trainer, config: &Config) {
     let downscale = config.run.factor();
@@ -28,11 +31,12 @@ fn warn_of_all(trainer: &Trainer, downscale: usize) {
     } else {
         "today's"
     };
-    if let Some(advice) = advice(need.total(), given, downscale) {
+    let total = need.total() + BESIDES;
+    if let Some(advice) = advice(total, given, downscale) {
         say!(
             "warning: training may take {} MiB of memory ({} for the pictures, {} for {up_to} {most} Gaussians, {} for a view and its blur), \
              and there are {} MiB ({by}): {advice}",
-            mib(need.total()),
+            mib(total),
             mib(need.pictures),
             mib(need.gaussians),
             mib(need.view),
@@ -63,7 +67,7 @@ pub(crate) fn mib(bytes: u64) -> u64 {
 /// Bytes of main memory that a run takes at its peak, about; `None` where tensors live elsewhere.
 pub(crate) fn expected(trainer: &Trainer, config: &Config) -> Option<u64> {
     let need = trainer.memory_need(trainer.most_gaussians());
-    config.run.backend.is_cpu().then(|| need.total())
+    config.run.backend.is_cpu().then(|| need.total() + BESIDES)
 }
 
 /// What makes a need fit into what is given; `None` where it fits.

@@ -5,8 +5,8 @@ use crate::gpu::{Gpu, Table};
 use crate::settings::BlurKind;
 use crate::trainer::Trainer;
 
-/// The program, its threads, what the end of a run makes of its pictures, and what does not grow with a scene.
-const PROGRAM: u64 = 80 << 20;
+/// The program, its threads, and what does not grow with a scene.
+const PROGRAM: u64 = 40 << 20;
 /// Of a Gaussian: its 59 numbers, their gradients and moments, and what an iteration makes of each.
 const GAUSSIAN: u64 = 2400;
 /// The same for each render that a frame is averaged from.
