@@ -62,24 +62,45 @@ pub fn turns(shifts: Tensor<2>) -> Tensor<2> {
 
 /// Rotations [n, 3, 3] of turns [n, 3]: (1 + W/2) (1 - W/2)⁻¹ for W = [w]x, which is 1 + (W + W²/2) / (1 + |w|²/4).
 ///
-/// Without a sine: that of a GPU may be off by 2⁻¹¹, which is all of a turn of a hand that shakes.
+/// Without a sine: that of a GPU may be off by 2⁻¹¹, which is all of a turn of a hand that shakes. With W² = w wᵀ - |w|², all is one
+/// product of w and w wᵀ with numbers that are known, as a GPU is kept waiting by each launch.
 pub(crate) fn rotations(vectors: Tensor<2>) -> Tensor<3> {
     let [n, _] = vectors.dims();
     let options = (&vectors.device(), vectors.dtype());
-    // w -> [w]x, row-major.
-    let generators = [
-        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
-        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    ];
-    let cross = product(vectors.clone(), Tensor::from_data(generators, options)).reshape([n, 3, 3]);
-    let squared = products(cross.clone(), cross.clone());
-    let divisor = vectors.square().sum_dim(1) * 0.25 + 1.0;
+    let [column, row] = [[n, 3, 1], [n, 1, 3]].map(|shape| vectors.clone().reshape(shape));
+    let terms = Tensor::cat(vec![vectors, (column * row).reshape([n, 9])], 1);
+    let sums = product(terms, Tensor::from_data(cayley_terms(), options));
+    let divisor = sums.clone().narrow(1, 9, 1) + 1.0;
     let identity: Vec<f64> = (0..9 * n)
         .map(|k| f64::from(u8::from(k % 9 % 4 == 0)))
         .collect();
     Tensor::from_data(TensorData::new(identity, [n, 3, 3]), options)
-        + (cross + squared * 0.5) / divisor.reshape([n, 1, 1])
+        + (sums.narrow(1, 0, 9) / divisor).reshape([n, 3, 3])
+}
+
+/// What W + W²/2 (row-major) and |w|²/4 have of w and of w wᵀ (row-major).
+fn cayley_terms() -> [[f64; 10]; 12] {
+    let mut terms = [[0.0; 10]; 12];
+    for (axis, sign, entry) in [
+        (0, -1.0, 5),
+        (0, 1.0, 7),
+        (1, 1.0, 2),
+        (1, -1.0, 6),
+        (2, -1.0, 1),
+        (2, 1.0, 3),
+    ] {
+        terms[axis][entry] = sign;
+    }
+    for k in 0..9 {
+        terms[3 + k][k] += 0.5;
+        if k % 4 == 0 {
+            for entry in [0, 4, 8] {
+                terms[3 + k][entry] -= 0.5;
+            }
+            terms[3 + k][9] = 0.25;
+        }
+    }
+    terms
 }
 
 #[cfg(test)]
