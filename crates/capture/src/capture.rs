@@ -1,7 +1,7 @@
 //! Path, focus and lens of every frame, and the poses that follow from them.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
-use host::{product, read};
+use host::read;
 
 use crate::motion::{RIGID, moved};
 use crate::samples::Sample;
@@ -50,6 +50,10 @@ impl Capture {
     /// # Panics
     /// Where there is no such frame or no sample.
     #[must_use]
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "paths are small, and what a GPU rounds is a share of them"
+    )]
     pub fn poses(
         &self,
         frame: usize,
@@ -66,7 +70,7 @@ impl Capture {
             .flat_map(|sample| (1..=degree).map(|k| sample.moment.powi(k as i32)))
             .collect();
         let powers = Tensor::<2>::from_data(TensorData::new(powers, [n, degree]), options);
-        let path = product(powers, row(&self.paths).reshape([degree, RIGID])); // [n, 6]
+        let path = powers.matmul(row(&self.paths).reshape([degree, RIGID])); // [n, 6]
         let rigid = moved(path, middle, size);
 
         let points: Vec<f64> = samples.iter().flat_map(|sample| sample.lens).collect();

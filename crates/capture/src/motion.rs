@@ -1,7 +1,7 @@
 //! Rigid motions from six numbers each.
 
 use burn::tensor::{Tensor, TensorData};
-use host::{product, products};
+use host::product;
 
 /// Numbers of a rigid motion: a turn (about rad, see [`moved`]) and a translation (scene sizes), in the camera's axes.
 pub const RIGID: usize = 6;
@@ -11,12 +11,15 @@ pub const RIGID: usize = 6;
 ///
 /// A turn is an axis times twice the tangent of half the angle (Cayley): in rad, but for a twelfth of its third power.
 #[must_use]
+#[expect(
+    clippy::disallowed_methods,
+    reason = "of the pose only what a small turn changes is multiplied"
+)]
 pub fn moved(motions: Tensor<2>, pose: &Tensor<2>, size: f64) -> Tensor<3> {
     let [n, _] = motions.dims();
-    let turned = products(
-        rotations(motions.clone().narrow(1, 0, 3)),
-        pose.clone().reshape([1, 3, 4]),
-    );
+    let pose = pose.clone().reshape([1, 3, 4]);
+    let change = turns_away(motions.clone().narrow(1, 0, 3)).matmul(pose.clone().expand([n, 3, 4]));
+    let turned = pose + change;
     let shift = (motions.narrow(1, 3, 3) * size).reshape([n, 3, 1]);
     Tensor::cat(
         vec![
@@ -60,47 +63,31 @@ pub fn turns(shifts: Tensor<2>) -> Tensor<2> {
     product(shifts, Tensor::from_data(rows, options))
 }
 
-/// Rotations [n, 3, 3] of turns [n, 3]: (1 + W/2) (1 - W/2)⁻¹ for W = [w]x, which is 1 + (W + W²/2) / (1 + |w|²/4).
+/// Rotations [n, 3, 3] of turns [n, 3], less the identity: (1 + W/2) (1 - W/2)⁻¹ - 1 for W = [w]x, which is
+/// (W + W²/2) / (1 + |w|²/4).
 ///
-/// Without a sine: that of a GPU may be off by 2⁻¹¹, which is all of a turn of a hand that shakes. With W² = w wᵀ - |w|², all is one
-/// product of w and w wᵀ with numbers that are known, as a GPU is kept waiting by each launch.
-pub(crate) fn rotations(vectors: Tensor<2>) -> Tensor<3> {
+/// Without a sine: that of a GPU may be off by 2⁻¹¹, which is all of a turn of a hand that shakes. So may its products of matrices,
+/// which are off by as much of what a turn changes.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "turns are small, and what a GPU rounds is a share of them"
+)]
+fn turns_away(vectors: Tensor<2>) -> Tensor<3> {
     let [n, _] = vectors.dims();
     let options = (&vectors.device(), vectors.dtype());
-    let [column, row] = [[n, 3, 1], [n, 1, 3]].map(|shape| vectors.clone().reshape(shape));
-    let terms = Tensor::cat(vec![vectors, (column * row).reshape([n, 9])], 1);
-    let sums = product(terms, Tensor::from_data(cayley_terms(), options));
-    let divisor = sums.clone().narrow(1, 9, 1) + 1.0;
-    let identity: Vec<f64> = (0..9 * n)
-        .map(|k| f64::from(u8::from(k % 9 % 4 == 0)))
-        .collect();
-    Tensor::from_data(TensorData::new(identity, [n, 3, 3]), options)
-        + (sums.narrow(1, 0, 9) / divisor).reshape([n, 3, 3])
-}
-
-/// What W + W²/2 (row-major) and |w|²/4 have of w and of w wᵀ (row-major).
-fn cayley_terms() -> [[f64; 10]; 12] {
-    let mut terms = [[0.0; 10]; 12];
-    for (axis, sign, entry) in [
-        (0, -1.0, 5),
-        (0, 1.0, 7),
-        (1, 1.0, 2),
-        (1, -1.0, 6),
-        (2, -1.0, 1),
-        (2, 1.0, 3),
-    ] {
-        terms[axis][entry] = sign;
-    }
-    for k in 0..9 {
-        terms[3 + k][k] += 0.5;
-        if k % 4 == 0 {
-            for entry in [0, 4, 8] {
-                terms[3 + k][entry] -= 0.5;
-            }
-            terms[3 + k][9] = 0.25;
-        }
-    }
-    terms
+    // w -> [w]x, row-major.
+    let generators = [
+        [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ];
+    let cross = vectors
+        .clone()
+        .matmul(Tensor::from_data(generators, options))
+        .reshape([n, 3, 3]);
+    let squared = cross.clone().matmul(cross.clone());
+    let divisor = vectors.square().sum_dim(1) * 0.25 + 1.0;
+    (cross + squared * 0.5) / divisor.reshape([n, 1, 1])
 }
 
 #[cfg(test)]
@@ -109,9 +96,15 @@ mod tests {
     use burn::tensor::{DType, Device};
 
     fn of(vectors: Vec<f64>, dtype: DType) -> Vec<f64> {
-        let n = vectors.len() / 3;
-        let data = TensorData::new(vectors, [n, 3]);
-        let rotations = rotations(Tensor::from_data(data, (&Device::flex(), dtype)));
+        let (n, options) = (vectors.len() / 3, (&Device::flex(), dtype));
+        let turns = Tensor::<2>::from_data(TensorData::new(vectors, [n, 3]), options);
+        let motions = Tensor::cat(vec![turns, Tensor::zeros([n, 3], options)], 1);
+        let pose = [
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+        ];
+        let rotations = moved(motions, &Tensor::from_data(pose, options), 1.0).narrow(2, 0, 3);
         rotations.try_into_vec_as::<f64>().expect("f64")
     }
 
