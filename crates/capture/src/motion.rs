@@ -1,6 +1,6 @@
 //! Rigid motions from six numbers each.
 
-use burn::tensor::{Tensor, TensorData};
+use burn::tensor::Tensor;
 use host::product;
 
 /// Numbers of a rigid motion: a turn (about rad, see [`moved`]) and a translation (scene sizes), in the camera's axes.
@@ -93,7 +93,7 @@ fn turns_away(vectors: Tensor<2>) -> Tensor<3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use burn::tensor::{DType, Device};
+    use burn::tensor::{DType, Device, TensorData};
 
     fn of(vectors: Vec<f64>, dtype: DType) -> Vec<f64> {
         let (n, options) = (vectors.len() / 3, (&Device::flex(), dtype));
