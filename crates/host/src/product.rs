@@ -9,9 +9,11 @@ use burn::tensor::Tensor;
 #[must_use]
 pub fn product(left: Tensor<2>, right: Tensor<2>) -> Tensor<2> {
     let ([rows, inner], [_, columns]) = (left.dims(), right.dims());
-    (left.reshape([rows, inner, 1]) * right.reshape([1, inner, columns]))
-        .sum_dim(1)
-        .reshape([rows, columns])
+    let (left, right) = (
+        left.reshape([1, rows, inner]),
+        right.reshape([1, inner, columns]),
+    );
+    products(left, right).reshape([rows, columns])
 }
 
 /// [`product`] of each of n pairs, [n, r, k] and [n, k, c]; where there is one on a side, it goes with all.

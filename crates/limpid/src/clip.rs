@@ -101,8 +101,8 @@ pub(crate) fn render(
     out: &Path,
 ) -> Result<(), Failure> {
     let ClipArguments { what, video, .. } = arguments;
-    let fps = &arguments.fps.unwrap_or(FPS);
-    if !(fps.is_finite() && *fps > 0.0) {
+    let fps = arguments.fps.unwrap_or(FPS);
+    if !(fps.is_finite() && fps > 0.0) {
         return Err(format!("--fps {fps}: a number over 0 is expected").into());
     }
     if what.contains(&What::Movers) && run.model().num_dynamic() == 0 {
@@ -130,7 +130,7 @@ pub(crate) fn render(
         };
         say!("{}: {} pictures{grey}", folder.display(), shots.len());
         if *video {
-            video::write(names, shots.len(), *fps, &folder.with_extension("mp4"))?;
+            video::write(names, shots.len(), fps, &folder.with_extension("mp4"))?;
         }
     }
     Ok(())
