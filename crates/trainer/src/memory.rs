@@ -23,7 +23,7 @@ const KERNEL_PIXEL: u64 = 12;
 pub struct MemoryNeed {
     /// The program itself.
     pub program: u64,
-    /// Frames, test views, depth, masks, points and unseen views.
+    /// Frames, test views, depth, masks and points.
     pub pictures: u64,
     /// The Gaussians, with their gradients and moments.
     pub gaussians: u64,
@@ -90,10 +90,6 @@ impl Trainer {
             .iter()
             .flatten()
             .map(|map| floats(map.len()));
-        let unseen = self.data.unseen.iter().map(|view| {
-            floats(view.image.len() + view.mask.as_ref().map_or(0, Vec::len))
-                + view.valid.len() as u64
-        });
         let tracks = scene.tracks.iter().flat_map(|tracks| &tracks.queries);
         let tracks = tracks.map(|query| floats(4 * query.samples.len()));
         let blur = &plan.settings.blur;
@@ -110,12 +106,7 @@ impl Trainer {
         };
         MemoryNeed {
             program: PROGRAM,
-            pictures: frames
-                .chain(test)
-                .chain(points)
-                .chain(unseen)
-                .chain(tracks)
-                .sum(),
+            pictures: frames.chain(test).chain(points).chain(tracks).sum(),
             gaussians: (GAUSSIAN + EXPOSED_GAUSSIAN * renders) * gaussians as u64,
             view: pixels * (PIXEL + kernels),
         }

@@ -100,7 +100,8 @@ impl Trainer {
             ..
         } = &self.run;
         let model = &state.model;
-        let view = self.next_view(it);
+        let next = self.next_view(it)?;
+        let view = next.view();
         let (frame, unseen) = (view.frame, view.is_unseen);
         let name = view.viewpoint.name.clone();
 

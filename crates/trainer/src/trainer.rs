@@ -25,13 +25,15 @@ use crate::settings::Settings;
 use crate::state::State;
 use crate::survey::{Survey, survey};
 use crate::tensors::tensor;
-use crate::unseen::unseen_views;
-use crate::views::{UnseenView, ViewRef, Views};
+use crate::unseen::{Filmed, UnseenView};
+use crate::views::{ViewRef, Views};
 use crate::world::{GaussianTensors, World};
 use burn::tensor::{DType, Device, Tensor};
 use io::Scene;
 use splat_core::Gaussians;
 use std::path::Path;
+use tracing::trace_span;
+use unseen_views::Warped;
 
 /// Trains one scene.
 ///
@@ -181,7 +183,13 @@ impl Trainer {
         let decided = survey.decided(&settings);
         survey.notes.extend(decided);
         let learned = learned(&scene, &settings);
-        let unseen = unseen_views(&scene, &views, &settings, &model.blur, size, &learned)?;
+        let filmed = Filmed {
+            scene: &scene,
+            views: &views,
+            settings: &settings,
+            learned: &learned,
+        };
+        let unseen = filmed.unseen_views(&model.blur, size)?;
         if !unseen.is_empty() {
             survey.notes.push(format!("{} unseen views", unseen.len()));
         }
@@ -226,14 +234,13 @@ impl Trainer {
         run.plan.views.test = run.plan.views_of(&scene).test;
         let plan = &run.plan;
         let learned = learned(&scene, &plan.settings);
-        let unseen = unseen_views(
-            &scene,
-            &plan.views,
-            &plan.settings,
-            &run.state.model.blur,
-            trained,
-            &learned,
-        )?;
+        let filmed = Filmed {
+            scene: &scene,
+            views: &plan.views,
+            settings: &plan.settings,
+            learned: &learned,
+        };
+        let unseen = filmed.unseen_views(&run.state.model.blur, trained)?;
         if plan.schedule.unseen_from.is_some() == unseen.is_empty() {
             let found = unseen.len();
             return Err(OtherScene::UnseenViews { found }.into());
@@ -412,17 +419,42 @@ impl Trainer {
 
     /// The view that iteration `it` learns from: every epoch shows each training frame once, in an order of its own, and so for
     /// the unseen views.
-    pub(crate) fn next_view(&self, it: usize) -> ViewRef<'_> {
+    pub(crate) fn next_view(&self, it: usize) -> Result<NextView<'_>, TrainError> {
         let (plan, progress) = (&self.run.plan, &self.run.state.progress);
         let seed = plan.settings.seed;
         if plan.schedule.is_unseen(it) {
             let (count, n) = (progress.unseen_draws, self.data.unseen.len());
-            let index = draw(seed, Purpose::UnseenOrder, count, n);
-            ViewRef::unseen(&self.data.unseen[index])
+            let view = &self.data.unseen[draw(seed, Purpose::UnseenOrder, count, n)];
+            let _span = trace_span!("warp").entered();
+            let filmed = Filmed {
+                scene: &self.data.scene,
+                views: &plan.views,
+                settings: &plan.settings,
+                learned: &self.data.learned,
+            };
+            Ok(NextView::Unseen(view, filmed.warped(view)?))
         } else {
             let (count, n) = (progress.training_draws, plan.views.train.len());
             let frame = draw(seed, Purpose::TrainOrder, count, n);
-            self.data.training_view(&plan.views, frame)
+            Ok(NextView::Frame(self.data.training_view(&plan.views, frame)))
+        }
+    }
+}
+
+/// What an iteration learns from.
+#[derive(Debug)]
+pub(crate) enum NextView<'a> {
+    /// A training frame.
+    Frame(ViewRef<'a>),
+    /// An unseen view, and what it sees.
+    Unseen(&'a UnseenView, Warped),
+}
+
+impl NextView<'_> {
+    pub(crate) fn view(&self) -> ViewRef<'_> {
+        match self {
+            Self::Frame(view) => *view,
+            Self::Unseen(view, warped) => ViewRef::unseen(view, warped),
         }
     }
 }

@@ -3,11 +3,13 @@
 use crate::losses::point_disparity;
 use crate::sent::{Sent, on_device};
 use crate::tensors::host;
+use crate::unseen::UnseenView;
 use burn::tensor::{Bool, DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use io::Scene;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use splat_core::{Camera, camera_center, pose_rows};
+use unseen_views::Warped;
 
 /// From where and when a view is seen: everything of it but its picture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,17 +110,6 @@ impl Views {
     }
 }
 
-/// A view that was never filmed: a training frame, warped.
-#[derive(Debug)]
-pub(crate) struct UnseenView {
-    pub(crate) viewpoint: CameraView,
-    /// The frame that was warped.
-    pub(crate) frame: usize,
-    pub(crate) image: Vec<f32>,
-    pub(crate) mask: Option<Vec<f32>>,
-    pub(crate) valid: Vec<bool>,
-}
-
 /// A view with its targets, ready for the device.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ViewRef<'a> {
@@ -156,16 +147,17 @@ impl<'a> ViewRef<'a> {
         }
     }
 
-    pub(crate) fn unseen(view: &'a UnseenView) -> Self {
+    /// An unseen view, and what it sees.
+    pub(crate) fn unseen(view: &'a UnseenView, warped: &'a Warped) -> Self {
         Self {
             viewpoint: &view.viewpoint,
             frame: view.frame,
-            image: &view.image,
+            image: &warped.color,
             depth: None,
             points: None,
-            mask: view.mask.as_deref(),
+            mask: warped.mask.as_deref(),
             sent: None,
-            valid: Some(&view.valid),
+            valid: Some(&warped.valid),
             is_unseen: true,
         }
     }
