@@ -8,19 +8,11 @@ use crate::blur::BlurModel;
 use crate::error::{SceneProblem, TrainError};
 use crate::random::{Purpose, generator, unit};
 use crate::settings::Settings;
-use crate::views::{CameraView, Views};
+use crate::views::{CameraView, UnseenView, Views};
 use io::Scene;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use unseen_views::{Source, WarpOptions, Warped, parallel_pose, perpendicular_pose, warp};
-
-/// A view that was never filmed: from where a training frame is warped to.
-#[derive(Clone, Debug)]
-pub(crate) struct UnseenView {
-    pub(crate) viewpoint: CameraView,
-    /// The frame that is warped.
-    pub(crate) frame: usize,
-}
 
 /// What unseen views are warped from.
 #[derive(Clone, Copy, Debug)]

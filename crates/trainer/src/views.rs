@@ -3,7 +3,6 @@
 use crate::losses::point_disparity;
 use crate::sent::{Sent, on_device};
 use crate::tensors::host;
-use crate::unseen::UnseenView;
 use burn::tensor::{Bool, DType, Device, Tensor, TensorData};
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use io::Scene;
@@ -108,6 +107,14 @@ impl Views {
             test: scene.test.iter().map(viewpoint).collect(),
         }
     }
+}
+
+/// A view that was never filmed: from where a training frame is warped to.
+#[derive(Clone, Debug)]
+pub(crate) struct UnseenView {
+    pub(crate) viewpoint: CameraView,
+    /// The frame that is warped.
+    pub(crate) frame: usize,
 }
 
 /// A view with its targets, ready for the device.
