@@ -1,7 +1,7 @@
 //! The unseen views of a run, which the paper adds to the training frames: frames warped between two cameras (parallel to the
 //! path) and beside it (perpendicular).
 //!
-//! A frame is warped whenever a view of it is learned from, a tenth of the iterations: their pictures, four for each frame, would
+//! A frame is warped whenever a view of it is learned from, in a fifth of the iterations: their pictures, four for each frame, would
 //! take more memory than all else.
 
 use crate::blur::BlurModel;
