@@ -466,7 +466,36 @@ fn the_depth_loss_forgives_scale_and_shift_and_nothing_else() {
         assert_eq!(loss(&given, &depth, 0.0), 0.0, "{name}");
         // Depths at zero keep to the floor: S / (0.05 S) against S / z.
         let near = loss(&vec![4.0; depth.len()], &vec![0.0; depth.len()], 1.0);
-        assert!((near - 19.0).abs() < 1e-9, "{name}: {near}");
+        assert!((near - (19.0 - 0.025)).abs() < 1e-9, "{name}: {near}");
+    }
+}
+
+/// Where depth is right the loss pushes little, however many pixels there are to push; where it is wrong it is L1.
+#[test]
+fn the_depth_loss_pushes_less_the_less_depth_is_off() {
+    for (name, device) in devices_in(DType::F64) {
+        // Too few pixels for a fit of scale and shift.
+        let shape = [2, 5];
+        let push = |off: f64| {
+            let device = device.clone().autodiff();
+            let depth = tensor(&[1.0 / (0.5 + off); 10], shape, &device, DType::F64).require_grad();
+            let opaque = depth.ones_like();
+            let given = map_like(&[2.0; 10], &depth);
+            let loss = depth_loss(depth.clone(), &opaque, given, 1.0);
+            let grad = values(depth.grad(&loss.backward()).expect("tracked"))[0];
+            // To the disparity 1 / z, from the mean over ten pixels.
+            (scalar(loss), -grad * 10.0 / (0.5 + off).powi(2))
+        };
+        for off in [0.0, 0.001, 0.01, 0.04, -0.03] {
+            let (loss, slope) = push(off);
+            assert!((loss - off * off / 0.1).abs() < 1e-12, "{name}: {off}");
+            assert!((slope - off / 0.05).abs() < 1e-9, "{name}: {off}");
+        }
+        for off in [0.06, 0.3, -0.2_f64] {
+            let (loss, slope) = push(off);
+            assert!((loss - (off.abs() - 0.025)).abs() < 1e-12, "{name}: {off}");
+            assert!((slope - off.signum()).abs() < 1e-9, "{name}: {off}");
+        }
     }
 }
 
