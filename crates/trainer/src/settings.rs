@@ -241,7 +241,7 @@ impl Default for UnseenSettings {
 pub struct LossSettings {
     /// Share of 1 − SSIM in the photometric loss (paper, β).
     pub ssim: f64,
-    /// Disparity L1.
+    /// Huber loss on disparity.
     pub depth: f64,
     /// Square of the mean difference in disparity to the sparse points.
     pub depth_shift: f64,
