@@ -1,6 +1,4 @@
-// How a frame was blurred: what points become by the camera's path and lens, and the kernel of a pixel that was clicked.
-
-const SPOT_SIZE = 152;
+// How a frame was blurred: what points become by the camera's path and lens, and the kernel of a pixel that was chosen.
 
 /** Shows the blur of what a wipe shows. */
 function showBlur(wipe) {
@@ -16,10 +14,11 @@ function showBlur(wipe) {
     if (grid) box.append(...kernelFigure(wipe.panes[0].box, grid, kernels));
   };
   wipe.shown.push(show);
-  wipe.clicked = (x, y) => {
+  kernels.choose = (x, y) => {
     kernels.at = [x, y];
     show(wipe.views[wipe.index]);
   };
+  wipe.clicked = kernels.choose;
   if (wipe.pictured.length) show(wipe.views[wipe.index]);
 }
 
@@ -52,7 +51,15 @@ function kernelFigure(pane, grid, state) {
   const image = new ImageData(grid.size, grid.size);
   weights.forEach((weight, k) => image.data.set([weight, weight, weight, 255], 4 * k));
   canvas.getContext("2d").putImageData(image, 0, 0);
-  state.mark = el("span", { class: "mark" });
+  state.mark = el("button", { class: "mark", type: "button", "aria-label": "Place of the kernel that is shown; arrow keys move it" });
+  state.mark.addEventListener("keydown", (event) => {
+    const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (!way) return;
+    event.preventDefault();
+    event.stopPropagation();
+    state.choose((column + way[0] + 0.5) / grid.columns, (row + way[1] + 0.5) / grid.rows);
+    state.mark.focus();
+  });
   state.mark.style.left = `${100 * (column + 0.5) / grid.columns}%`;
   state.mark.style.top = `${100 * (row + 0.5) / grid.rows}%`;
   pane.append(state.mark);

@@ -1,7 +1,6 @@
 // Cameras: places (a centre and a quaternion, world from camera, OpenCV axes: x right, y down, z ahead) and the views they give.
 
 const dot3 = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const cross3 = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const add3 = (a, b, factor = 1) => [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]];
 const length3 = (a) => Math.hypot(...a);
 const unit3 = (a) => { const l = length3(a) || 1; return [a[0] / l, a[1] / l, a[2] / l]; };
@@ -29,8 +28,6 @@ function quatRows([w, x, y, z]) {
     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
   ];
 }
-
-const quatRotate = (q, v) => quatRows(q).map((row) => dot3(row, v));
 
 /** The quaternion of a matrix, given by rows. */
 function quatOf([[a, b, c], [d, e, f], [g, h, i]]) {
@@ -62,7 +59,7 @@ function poseOf({ center, rotation }) {
   return [x, y, z].flatMap((axis) => [...axis, -dot3(axis, center)]);
 }
 
-/** Where the camera is looking, to the right, and down. */
+/** To the right, down, and where the camera is looking. */
 const axesOf = ({ rotation }) => [0, 1, 2].map((k) => quatRows(rotation).map((row) => row[k]));
 
 function between(a, b, share) {

@@ -10,15 +10,15 @@ function runTable(names, rows) {
   return el("table", { class: "runs" }, head, el("tbody", {}, ...rows.map(line)));
 }
 
-function showPictures({ facts, pictures, factor, every, runs }) {
+function showPictures({ facts, pictures, every, runs }) {
   const withPictures = (view, first) => {
     const places = { ...view, ...(runs.length > 1 && isNumber(first.sharp) ? { first: first.sharp } : {}) };
     return Object.fromEntries(Object.entries(places).map(([key, at]) => [key, pictures[at]]));
   };
-  const galleryOf = ({ views }) => ({ factor, views: views.map((view, index) => withPictures(view, runs[0].views[index])) });
+  const galleryOf = ({ factor, views }) => ({ factor, views: views.map((view, index) => withPictures(view, runs[0].views[index])) });
   const shown = runs.filter((run) => run.views);
   comparison.wipe = new Wipe(shown.map((run) => ({ name: run.name, facts: { ...facts, metrics: run.metrics }, gallery: galleryOf(run) })));
-  if (every > 1) $("frames").append(el("p", { class: "figures" }, `To keep this page small, every ${every}th view has its pictures here.`));
+  if (every > 1) $("frames").append(el("p", { class: "figures" }, `To keep this page small, one view in ${every} has its pictures here.`));
 }
 
 /** Scores of views, those that all runs together do worst first. */
@@ -63,7 +63,7 @@ function linkTo(line, name, test) {
   line.cells[0].replaceChildren(el("button", { type: "button" }, name));
   line.addEventListener("click", () => {
     wipe.set(view.index);
-    $("frames").scrollIntoView({ behavior: "smooth" });
+    bringUp("frames");
   });
 }
 

@@ -110,8 +110,8 @@ class Controls {
 
   /** Goes on as long as keys are down; by a step at least, however short a key was down. */
   walk() {
-    this.walkFor(1 / 60);
     if (this.walking) return;
+    this.walkFor(1 / 60);
     let before = performance.now();
     const step = (now) => {
       this.walking = this.pressed.size > 0;

@@ -36,8 +36,15 @@ function duration(seconds) {
   return `${(seconds / 3600).toFixed(1)} h`;
 }
 
-/** Whether a key is meant for the browser, or for the field or button that has the focus. */
+/** Brings a part of the page into view. */
+function bringUp(id) {
+  $(id).scrollIntoView({ behavior: prefersStill() ? "auto" : "smooth" });
+}
+
+const prefersStill = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
+
+/** Whether a key is meant for the browser, or for the field, button or table that has the focus. */
 function isForOthers({ ctrlKey, metaKey, altKey, target, key }) {
   if (ctrlKey || metaKey || altKey) return true;
-  return Boolean(target.closest("input, select, summary, a") || (target.closest("button") && (key === " " || key === "Enter")));
+  return Boolean(target.closest("input, select, summary, a, .scroll") || (target.closest("button") && (key === " " || key === "Enter")));
 }

@@ -16,14 +16,19 @@ function followTraining(facts, show) {
   const look = async () => {
     try {
       const head = await fetch(location.pathname, { method: "HEAD", cache: "no-store" });
-      lost = 0;
       if (head.headers.get("ETag") !== `"${known}"`) {
         const reply = await fetch(location.pathname, { cache: "no-store" });
         const page = new DOMParser().parseFromString(await reply.text(), "text/html");
-        facts = readJson("facts", page);
+        const next = readJson("facts", page);
+        if (!isSameRun(facts, next)) {
+          location.reload();
+          return;
+        }
+        facts = next;
         show(facts, readJson("gallery", page), readSplats(await splatBytes(facts.side_file, page)));
         known = facts.live?.snapshot;
       }
+      lost = 0;
       tell(facts.live ? told(facts) : "trained: this is the run's report, which lies in its folder");
     } catch {
       lost++;
@@ -33,4 +38,10 @@ function followTraining(facts, show) {
   };
   tell(told(facts));
   setTimeout(look, LOOK_EVERY);
+}
+
+/** Whether two pages show the same views: another process may serve where the first one did. */
+function isSameRun(one, other) {
+  const views = ({ name, train, test }) => JSON.stringify([name, ...[train, test].map((list) => list.map((view) => [view.name, view.width, view.height]))]);
+  return views(one) === views(other);
 }

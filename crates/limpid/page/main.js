@@ -14,12 +14,11 @@ async function showScene(facts) {
   try {
     const scene = readSplats(await splatBytes(facts.side_file));
     report.viewer = new Viewer(facts, scene);
-    const still = matchMedia("(prefers-reduced-motion: reduce)").matches || location.hash;
-    if (!still) report.viewer.play();
+    if (!prefersStill() && !location.hash) report.viewer.play();
   } catch (problem) {
     $("message").textContent = problem.message;
     $("message").hidden = false;
-    $("hint").hidden = true;
+    for (const useless of document.querySelectorAll("#hint, #scene .bar")) useless.hidden = true;
     const { width, height } = facts.train[0];
     $("stage").style.aspectRatio = `${width} / ${height}`;
   }
@@ -29,7 +28,7 @@ function goTo(index) {
   if (!report.viewer) return;
   report.viewer.pause();
   report.viewer.jump(index);
-  $("scene").scrollIntoView({ behavior: "smooth" });
+  bringUp("scene");
 }
 
 /** What there is to read, of a run as it is now. */
@@ -40,7 +39,7 @@ function showRest(facts) {
     const index = report.wipe.views.findIndex((view) => view.test === test && view.name === name);
     if (!report.wipe.has(index)) return;
     report.wipe.set(index);
-    $("frames").scrollIntoView({ behavior: "smooth" });
+    bringUp("frames");
   });
   showNotes(facts);
   showRun(facts);

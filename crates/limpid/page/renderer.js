@@ -137,8 +137,9 @@ class Renderer {
     const most = Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), 4096);
     this.most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
 
-    /** Floats of the texture of shapes, whole lines of it. */
+    /** Texels in a line of the texture of shapes, three for each Gaussian. */
     this.shapesAcross = most - (most % 3);
+    /** Its floats, whole lines of them. */
     this.shapes = new Float32Array(4 * this.shapesAcross * Math.ceil(3 * scene.count / this.shapesAcross));
     for (let i = 0; i < scene.count; i++) {
       this.shapes[12 * i + 3] = scene.opacities[i];

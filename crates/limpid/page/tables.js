@@ -45,6 +45,7 @@ function showRun(facts) {
   if (isNumber(metrics?.shutter)) rows.push(["shutter", `${decimals(metrics.shutter, 2)} frames`], ["aperture", `${decimals(metrics.aperture, 4)} scene units`]);
   const pairs = (list) => el("table", { class: "pair" }, el("tbody", {}, ...list.map(([key, value]) => el("tr", {}, el("td", {}, key), el("td", {}, value)))));
   const about = $("about");
+  const open = about.querySelector("details")?.open;
   // A run that was changed on its way had another beginning than such a one has.
   const again = facts.changes.length ? "A run that has from its beginning what this one had in the end" : "The same run again";
   about.replaceChildren(pairs(rows), el("h3", {}, `${again}, from the folder that holds the scene`), el("pre", {}, facts.command));
@@ -55,5 +56,5 @@ function showRun(facts) {
   if (facts.changes.length) {
     about.append(el("h3", {}, "Changed on the way"), pairs(facts.changes.map(({ iteration, setting, from, to }) => [setting, `${text(to)} in the place of ${text(from)}, after iteration ${whole(iteration)}`])));
   }
-  about.append(el("details", {}, el("summary", {}, "All settings"), el("pre", {}, JSON.stringify(facts.settings, null, 2))));
+  about.append(el("details", open ? { open: "" } : {}, el("summary", {}, "All settings"), el("pre", {}, JSON.stringify(facts.settings, null, 2))));
 }

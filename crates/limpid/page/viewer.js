@@ -27,7 +27,8 @@ class Viewer {
     this.show = "both";
     /** "follow", the number of a camera, or null for a free view. */
     this.camera = "follow";
-    this.lens = facts.train[0];
+    /** The number of the camera whose lens a view has. */
+    this.lens = 0;
     this.share = 1;
     /** When somebody last moved the camera. */
     this.moved = -Infinity;
@@ -66,7 +67,7 @@ class Viewer {
     const slider = $("time");
     slider.min = this.first;
     slider.max = this.last;
-    slider.disabled = this.last <= this.first;
+    $("play").disabled = slider.disabled = this.last <= this.first;
     slider.addEventListener("input", () => { this.pause(); this.setTime(Number(slider.value)); });
     $("play").addEventListener("click", () => (this.playing ? this.pause() : this.play()));
     $("back").addEventListener("click", () => this.step(-1));
@@ -106,7 +107,16 @@ class Viewer {
     document.addEventListener("keydown", (event) => this.key(event));
     window.addEventListener("hashchange", () => this.restore());
     new ResizeObserver(() => this.resize()).observe($("stage"));
+    this.followRatio();
     this.resize();
+  }
+
+  /** Another zoom or screen has other pixels, also where the stage keeps its size. */
+  followRatio() {
+    matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`).addEventListener("change", () => {
+      this.resize();
+      this.followRatio();
+    }, { once: true });
   }
 
   key(event) {
@@ -130,6 +140,7 @@ class Viewer {
     if (time !== null) this.setTime(time);
     if (view) {
       this.controls.reach = view.reach;
+      this.lens = view.lens < this.cameras.length ? view.lens : 0;
       this.free(view);
     } else if (typeof camera === "number" && camera < this.cameras.length) {
       this.jump(camera, time ?? undefined);
@@ -142,7 +153,7 @@ class Viewer {
 
   follow() {
     this.camera = "follow";
-    this.lens = this.facts.train[0];
+    this.lens = 0;
     this.controls.reach = this.facts.scene_size;
     this.invalidate();
   }
@@ -150,7 +161,7 @@ class Viewer {
   /** Sees through a camera, at its time or another. */
   jump(index, time = this.cameras[index].time) {
     this.camera = index;
-    this.lens = this.cameras[index].lens;
+    this.lens = index;
     this.controls.reach = this.facts.scene_size;
     this.controls.place = this.cameras[index].place;
     this.setTime(time);
@@ -234,7 +245,8 @@ class Viewer {
     });
   }
 
-  frame(now) {
+  /** Draws what is shown now; while things move smaller than the canvas is, where that comes too slowly, unless it is to be `whole`. */
+  frame(now, whole = false) {
     if (this.playing) {
       const ms = this.before === null ? 0 : now - this.before;
       if (ms > 0) this.cost("frame", ms);
@@ -243,22 +255,22 @@ class Viewer {
       this.adapt();
     }
     const moves = this.playing || now - this.moved < REST;
-    const share = moves ? this.share : 1;
+    const share = moves && !whole ? this.share : 1;
     if (!this.playing && share < 1) setTimeout(() => this.invalidate(), REST);
     const width = Math.max(Math.round(this.width * share), 1);
     const height = Math.max(Math.round(this.height * share), 1);
     if (this.canvas.width !== width || this.canvas.height !== height) [this.canvas.width, this.canvas.height] = [width, height];
     if (this.camera === "follow") this.controls.place = placeOnPath(this.stops, this.time);
-    const view = viewOf(this.controls.place, this.lens, width, height);
+    const { lens } = this.cameras[this.lens];
+    const view = viewOf(this.controls.place, lens, width, height);
     this.controls.focal = view.fx * this.width / width / this.ratio;
     this.renderer.draw(view, this.sorter.order, this.arrange(view, this.time, this.show));
     if (this.camera === null && $("cameras").checked) {
-      this.overlay.draw(viewOf(this.controls.place, this.lens, this.width, this.height), this.ratio, this.currentCamera());
+      this.overlay.draw(viewOf(this.controls.place, lens, this.width, this.height), this.ratio, this.currentCamera());
     } else {
       this.overlay.clear();
     }
     this.drawn++;
-    if (this.drawn === 1) this.firstPicture = performance.now();
     this.tell();
     if (this.playing) this.invalidate();
   }
@@ -316,9 +328,9 @@ class Viewer {
     $("clock").textContent = `frame ${this.time.toFixed(this.playing || !Number.isInteger(this.time) ? 1 : 0)} / ${this.last}`;
     $("camera").value = this.camera === null ? "" : String(this.camera);
     clearTimeout(this.writing);
-    const { time, camera, controls } = this;
+    const { time, camera, lens, controls } = this;
     if (!this.playing) {
-      this.writing = setTimeout(() => writeAddress({ time, camera, place: controls.place, reach: controls.reach }), 300);
+      this.writing = setTimeout(() => writeAddress({ time, camera, lens, place: controls.place, reach: controls.reach }), 300);
     }
     if (this.told && performance.now() - this.told < 250 && this.playing) return;
     this.told = performance.now();
@@ -331,7 +343,7 @@ class Viewer {
   }
 
   save() {
-    this.frame(performance.now());
+    this.frame(performance.now(), true);
     this.canvas.toBlob((blob) => {
       const link = el("a", { href: URL.createObjectURL(blob), download: `${this.facts.name}-${short(this.time)}.png` });
       link.click();

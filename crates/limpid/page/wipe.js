@@ -126,10 +126,9 @@ class Wipe {
 
   tell(view) {
     const parts = [`${view.test ? "test view" : "frame"} ${view.name}, time ${decimals(view.time, view.time % 1 ? 2 : 0)}`, `${view.width} × ${view.height}`];
-    const factor = Math.max(...this.runs.map(({ gallery }) => gallery.factor));
-    if (this.runs.length === 1) parts.push(...viewScores(view, this.runs[0].facts));
-    else this.panes.forEach((pane, k) => { pane.caption.textContent = [this.runs[k].name, ...viewScores(view, this.runs[k].facts)].join(" · "); });
-    if (factor > 1) parts.push(`shown ${factor} times smaller`);
+    const told = ({ facts, gallery }) => [...viewScores(view, facts), ...(gallery.factor > 1 ? [`shown ${gallery.factor} times smaller`] : [])];
+    if (this.runs.length === 1) parts.push(...told(this.runs[0]));
+    else this.panes.forEach((pane, k) => { pane.caption.textContent = [this.runs[k].name, ...told(this.runs[k])].join(" · "); });
     $("frame-figures").textContent = parts.join(" · ");
   }
 }

@@ -44,8 +44,6 @@ struct Comparison<'a> {
     settings: &'a [Row],
     /// The views of the first run.
     facts: Views<'a>,
-    /// Pictures are so many times smaller than the frames.
-    factor: usize,
     /// Every so-manieth view has its pictures.
     every: usize,
     /// JPEG in base64, each once.
@@ -64,6 +62,8 @@ struct PageRun<'a> {
     name: &'a str,
     metrics: &'a Value,
     notes: &'a [String],
+    /// Pictures are so many times smaller than the frames.
+    factor: usize,
     /// Places of the views' pictures; null for a run of another scene.
     views: Option<&'a [Places]>,
 }
@@ -100,7 +100,6 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<ExitCode, Failure> {
             train: &runs[0].facts.train,
             test: &runs[0].facts.test,
         },
-        factor: runs[0].gallery.factor,
         every: pictures.every,
         pictures: &pictures.pool,
         runs: runs
@@ -110,6 +109,7 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<ExitCode, Failure> {
                 name: &run.name,
                 metrics: &run.facts.metrics,
                 notes: &run.facts.notes,
+                factor: run.gallery.factor,
                 views: views.as_deref(),
             })
             .collect(),

@@ -14,9 +14,10 @@ const QUALITY: u8 = 90;
 /// Of the light of a point so many places are shown at most.
 const MOST_PLACES: usize = 150;
 /// Kernels are kept for at most so many places along a side of a frame…
-const PLACES: usize = 24;
-/// … and for so many bytes in a report.
+const MOST_PLACES_ALONG: usize = 24;
+/// … and, where these would be more, for so many bytes in a report, but never for fewer than so many places along the longer side.
 const MOST_KERNEL_BYTES: usize = 4_000_000;
+const LEAST_PLACES_ALONG: usize = 4;
 
 /// All pictures, in the order of the views: training frames, then test views.
 #[derive(Debug, Serialize)]
@@ -24,8 +25,9 @@ pub(crate) struct Gallery {
     /// Pictures are so many times smaller than the frames.
     factor: usize,
     views: Vec<GalleryView>,
+    /// For the kernels of a frame.
     #[serde(skip)]
-    places: usize,
+    kernel_bytes: usize,
 }
 
 /// A view's pictures as JPEG in base64. What there is not, is absent.
@@ -90,13 +92,10 @@ impl Gallery {
             |views: &[CameraView]| views.iter().map(|v| v.camera.num_pixels()).sum::<usize>();
         let total = 4 * pixels(train) + 2 * pixels(test);
         let factor = (1..).find(|f| total / (f * f) <= MOST_PIXELS).unwrap_or(1);
-        // A kernel of 9 x 9 in 81 bytes, for a grid of 16 : 9.
-        let each = MOST_KERNEL_BYTES / train.len().max(1) / 81;
-        let places = (each as f64 * 16.0 / 9.0).sqrt() as usize;
         Self {
             factor,
             views: Vec::new(),
-            places: places.clamp(4, PLACES),
+            kernel_bytes: MOST_KERNEL_BYTES / train.len().max(1),
         }
     }
 
@@ -120,7 +119,7 @@ impl Gallery {
             sharp: self.jpeg(&view.sharp),
             truth: truth.and_then(|image| self.jpeg(image)),
             camera: camera.map(deed),
-            kernels: kernels.and_then(|kernels| grid(kernels, self.places)),
+            kernels: kernels.and_then(|kernels| grid(kernels, self.kernel_bytes)),
         };
         self.views.push(added);
     }
@@ -170,12 +169,11 @@ fn deed(view: &TakenView) -> CameraDeed {
     }
 }
 
-/// The kernels in the middles of cells, at most `places` of them along the longer side; `None` where there is no pixel.
-fn grid(view: &KernelView, places: usize) -> Option<KernelGrid> {
+/// The kernels in the middles of cells, in so many bytes; `None` where there is no pixel.
+fn grid(view: &KernelView, bytes: usize) -> Option<KernelGrid> {
     let (width, height) = (view.intensity.width, view.intensity.height);
     let area = view.kernels.len().checked_div(width * height)?;
-    let cell = width.max(height).div_ceil(places).max(1);
-    let (columns, rows) = (width.div_ceil(cell), height.div_ceil(cell));
+    let [columns, rows] = cells([width, height], bytes / area.max(1));
     let (mut intensity, mut weights) = (Vec::new(), Vec::new());
     for row in 0..rows {
         for column in 0..columns {
@@ -199,7 +197,49 @@ fn grid(view: &KernelView, places: usize) -> Option<KernelGrid> {
     })
 }
 
+/// Columns and rows of square cells, of which there are at most so many, as far as the least number along a side lets them.
+fn cells([width, height]: [usize; 2], most: usize) -> [usize; 2] {
+    let longer = width.max(height);
+    let first = longer.div_ceil(MOST_PLACES_ALONG).max(1);
+    let last = longer.div_ceil(LEAST_PLACES_ALONG).max(first);
+    let count = |cell: usize| [width, height].map(|side| side.div_ceil(cell));
+    (first..last)
+        .map(count)
+        .find(|[columns, rows]| columns * rows <= most)
+        .unwrap_or_else(|| count(last))
+}
+
 /// A number in [0, 1] in 255ths.
 fn byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn kernels_of_any_size_keep_to_their_bytes() {
+        for (frames, size, kernel) in [
+            (24, [512, 288], 9),
+            (152, [512, 288], 9),
+            (152, [400, 400], 15),
+            (300, [288, 512], 15),
+            (24, [3, 2], 9),
+        ] {
+            let most = MOST_KERNEL_BYTES / frames / (kernel * kernel);
+            let [columns, rows] = cells(size, most);
+            assert!(columns * rows <= most, "{size:?}: {columns} x {rows}");
+            let longer = columns.max(rows);
+            assert!(longer <= MOST_PLACES_ALONG, "{size:?}: {longer}");
+            // Not far fewer than there is room for.
+            let all = columns * rows == size[0] * size[1];
+            assert!(
+                all || longer >= MOST_PLACES_ALONG - 2 || 2 * columns * rows > most,
+                "{size:?}: {columns} x {rows} of {most}"
+            );
+        }
+        // Without room for any, a few.
+        assert_eq!(cells([400, 200], 0), [4, 2]);
+    }
 }

@@ -139,16 +139,19 @@ impl Browser {
         Ok(reply["result"]["value"].take())
     }
 
-    /// Waits until an expression of the page holds; an error if that takes too long.
+    /// Waits until an expression of the page holds; an error if that takes too long. While another page comes it may be none.
     pub(crate) fn wait_for(&mut self, condition: &str) -> Outcome {
         let started = Instant::now();
-        while self.evaluate(condition)? != true {
+        loop {
+            let found = self.evaluate(condition);
+            if matches!(found, Ok(Value::Bool(true))) {
+                return Ok(());
+            }
             if started.elapsed() > PATIENCE {
-                return Err(format!("{condition}: never").into());
+                return Err(format!("{condition}: never, but {found:?}").into());
             }
             std::thread::sleep(Duration::from_millis(50));
         }
-        Ok(())
     }
 
     /// A PNG of what the window shows.

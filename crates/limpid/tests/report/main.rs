@@ -169,12 +169,37 @@ fn a_report_shows_what_the_renderer_renders_and_asks_no_network() -> Outcome {
         let [a, b] = [&place, &again].map(|center| center[axis].as_f64().unwrap_or(f64::NAN));
         assert!((a - b).abs() < 1e-4, "{place} and {again}");
     }
+    assert_eq!(browser.evaluate("report.viewer.lens")?, 3);
+
+    // Keys step through time, but not where they scroll a table.
+    let press = |browser: &mut Browser, element: &str, key: &str| {
+        browser.evaluate(&format!(
+            "document.querySelector('{element}').dispatchEvent(new KeyboardEvent('keydown', {{ key: '{key}', bubbles: true }}))"
+        ))
+    };
+    press(&mut browser, "#tables .scroll", "ArrowRight")?;
+    assert_eq!(browser.evaluate("report.viewer.time")?, 5.25);
+    press(&mut browser, "body", "ArrowRight")?;
+    assert_eq!(browser.evaluate("report.viewer.time")?, 6.0);
+    // A key that is held down walks no faster for being repeated.
+    let times = browser.evaluate(
+        "(() => { const { controls } = report.viewer; const before = controls.walkFor; let steps = 0; controls.walkFor = () => steps++; \
+         for (let k = 0; k < 5; k++) document.body.dispatchEvent(new KeyboardEvent('keydown', { key: 'w', repeat: k > 0, bubbles: true })); \
+         document.body.dispatchEvent(new KeyboardEvent('keyup', { key: 'w', bubbles: true })); controls.walkFor = before; return steps; })()",
+    )?;
+    assert_eq!(times, 1);
+    // What is saved is whole, however small pictures are while it plays.
+    let saved = browser.evaluate(
+        "(() => { const { viewer } = report; viewer.play(); viewer.share = 0.3; viewer.canvas.toBlob = () => {}; viewer.save(); \
+         delete viewer.canvas.toBlob; viewer.pause(); return viewer.canvas.width === viewer.width; })()",
+    )?;
+    assert_eq!(saved, true);
 
     // It plays, the other parts are there, and the name is text.
     let drawn = browser.evaluate("report.viewer.drawn")?;
     browser.evaluate("report.viewer.follow(); report.viewer.play()")?;
     browser.wait_for(&format!(
-        "report.viewer.time !== 5.25 && report.viewer.drawn > {drawn} + 3"
+        "report.viewer.time !== 6 && report.viewer.drawn > {drawn} + 3"
     ))?;
     browser.evaluate("report.viewer.pause()")?;
     for holds in [
@@ -283,6 +308,8 @@ fn limpid_view_shows_a_run_without_a_report_and_splats_beside_the_page() -> Outc
             .is_some_and(|text| text.contains("limpid view")),
         "{message}"
     );
+    // Nothing is offered that would do nothing.
+    browser.wait_for("[...document.querySelectorAll('#scene button')].every((button) => button.offsetParent === null)")?;
     assert!(browser.problems().is_empty(), "{:?}", browser.problems());
     Ok(())
 }
@@ -304,7 +331,7 @@ fn runs_are_compared_at_the_same_view_and_edge() -> Outcome {
     let small = train_as(
         folder.path(),
         "small",
-        &["--downscale", "5", "--blur", "off"],
+        &["--downscale", "5", "--blur", "kernels"],
     )?;
     let page = folder.path().join("compare.html");
     let [camera, off, small, to] =
@@ -379,6 +406,25 @@ fn runs_are_compared_at_the_same_view_and_edge() -> Outcome {
     let mut browser = Browser::open(&program, &format!("file://{}", page.display()), [700, 700])?;
     browser.wait_for("document.querySelectorAll('#warnings li').length === 1")?;
     browser.wait_for("document.querySelectorAll('.best').length === 0")?;
+    assert!(browser.problems().is_empty(), "{:?}", browser.problems());
+
+    // The kernel of another place is to be had by keys too.
+    let report = Path::new(small).join("report.html");
+    let mut browser = Browser::open(
+        &program,
+        &format!("file://{}#t=0", report.display()),
+        [700, 700],
+    )?;
+    let mark = "document.querySelector('.wipe .mark')";
+    let before = browser.evaluate(&format!("{mark}.style.left"))?;
+    browser.evaluate(&format!(
+        "{mark}.dispatchEvent(new KeyboardEvent('keydown', {{ key: 'ArrowRight', bubbles: true }}))"
+    ))?;
+    browser.wait_for(&format!(
+        "{mark}.style.left !== '{}' && document.activeElement === {mark} && report.viewer.time === 0",
+        before.as_str().ok_or("a place")?
+    ))?;
+    keep_screenshot(&mut browser, "kernels.png")?;
     assert!(browser.problems().is_empty(), "{:?}", browser.problems());
     Ok(())
 }

@@ -126,7 +126,8 @@ fn a_page_follows_a_run_and_keeps_its_time_and_view() -> Outcome {
     let (mut run, address) = watched(folder.path(), "run", &words)?;
     let mut browser = Browser::open(&program, &format!("{address}#t=0"), [1000, 900])?;
     browser.evaluate(
-        "report.viewer.jump(3); report.viewer.controls.orbit(40, 10); report.viewer.setTime(5.25); report.wipe.edge(30)",
+        "report.viewer.jump(3); report.viewer.controls.orbit(40, 10); report.viewer.setTime(5.25); report.wipe.edge(30); \
+         document.querySelector('#about details').open = true",
     )?;
     let place = browser.evaluate("report.viewer.controls.place.center")?;
     let before = browser.evaluate("report.facts.live.snapshot")?;
@@ -143,7 +144,7 @@ fn a_page_follows_a_run_and_keeps_its_time_and_view() -> Outcome {
         "document.querySelector('.wipe').style.getPropertyValue('--edge') === '30%'",
         "document.querySelectorAll('#view option').length === 5",
         "document.querySelectorAll('#curves svg').length === 4",
-        "document.querySelectorAll('#about .pair').length > 0 && document.querySelectorAll('#about details').length === 1",
+        "document.querySelectorAll('#about .pair').length > 0 && document.querySelectorAll('#about details[open]').length === 1",
         "document.getElementById('live').textContent.startsWith('being trained: iteration ')",
     ] {
         browser.wait_for(holds)?;
@@ -158,6 +159,11 @@ fn a_page_follows_a_run_and_keeps_its_time_and_view() -> Outcome {
         .into_iter()
         .all(|url| url.starts_with(&address));
     assert!(own, "{:?}", browser.requests());
+
+    // A page whose run is another one by now begins anew.
+    browser.evaluate("report.facts.name = 'of another run'; window.stays = true")?;
+    browser.wait_for("typeof stays === 'undefined' && typeof report === 'object'")?;
+    browser.wait_for("report.ready.then(() => report.facts.name !== 'of another run')")?;
 
     // It says so when there is nothing to follow any more.
     run.0.kill()?;
