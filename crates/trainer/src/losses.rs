@@ -107,13 +107,11 @@ pub fn intensity_penalty<const D: usize>(intensity: Tensor<D>) -> Tensor<1> {
     mean(intensity)
 }
 
-/// Differences of disparity (times S) up to which [`depth_loss`] is round. As L1 it pushes a pixel as hard where depth is right as
-/// where it is wrong, so that Gaussians shake about a depth that is exact, and what they show with them.
-const ROUND_DEPTH: f64 = 0.05;
-
 /// Huber loss between rendered and given disparity, times the scene size S; shape `[1]`.
 ///
-/// With a difference d it is d² / 0.1 up to |d| = 0.05, and |d| - 0.025 beyond.
+/// With a difference d it is d² / 2r up to |d| = r, which is `round`, and |d| - r / 2 beyond. As L1, which it is for r = 0 (as in
+/// the paper), it pushes a pixel as hard where depth is right as where it is wrong, so that Gaussians shake about a depth that is
+/// exact, and what they show with them. (RESULTS.md, "Depth that is exact".)
 ///
 /// `depth` [H, W] is Σ z α T and `alpha` [H, W] is Σ α T of the render, `given` [H, W] the depth of the input (scene units), zero,
 /// negative or infinite where it is missing. The rendered depth is depth / alpha with alpha detached, so the gradient
@@ -128,6 +126,7 @@ pub fn depth_loss(
     alpha: &Tensor<2>,
     given: Tensor<2>,
     scene_size: f64,
+    round: f64,
 ) -> Tensor<1> {
     assert_eq!(depth.dims(), alpha.dims(), "depth and alpha of one render");
     assert_eq!(depth.dims(), given.dims(), "one given depth per pixel");
@@ -143,8 +142,11 @@ pub fn depth_loss(
     let nearest = NEAREST * scene_size;
     let rendered = (depth * per_alpha).clamp_min(nearest).recip() * scene_size;
     let difference = (rendered - wanted).abs();
-    let round = difference.clone().clamp_max(ROUND_DEPTH);
-    sum(round.clone() * (difference - round / 2.0) * weight) / ROUND_DEPTH
+    if round == 0.0 {
+        return sum(difference * weight);
+    }
+    let least = difference.clone().clamp_max(round);
+    sum(least.clone() * (difference - least / 2.0) * weight) / round
 }
 
 /// Differences of disparity (times S) that count in [`depth_shift_loss`]: larger ones are of depth edges.

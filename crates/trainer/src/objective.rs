@@ -41,7 +41,8 @@ impl Objective<'_> {
         if let Some(depth) = view.depth(seen) {
             terms.add("depth", weights.depth, || {
                 let alpha = fixed.rendered.alpha();
-                losses::depth_loss(rendered.depth(), &alpha, depth, plan.survey.scene_size)
+                let (size, round) = (plan.survey.scene_size, weights.depth_round);
+                losses::depth_loss(rendered.depth(), &alpha, depth, size, round)
             });
         }
         let size = plan.survey.scene_size;

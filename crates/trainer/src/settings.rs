@@ -243,6 +243,8 @@ pub struct LossSettings {
     pub ssim: f64,
     /// Huber loss on disparity.
     pub depth: f64,
+    /// Differences of disparity, times S, up to which that loss is round; 0 for L1.
+    pub depth_round: f64,
     /// Square of the mean difference in disparity to the sparse points.
     pub depth_shift: f64,
     /// Dynamic mask L1.
@@ -276,6 +278,7 @@ impl Default for LossSettings {
         Self {
             ssim: 0.2,
             depth: 0.075,
+            depth_round: 0.05,
             depth_shift: 100.0,
             mask: 0.075,
             kernel_center: 0.001,
@@ -385,8 +388,8 @@ impl Default for LearningRates {
 
 impl Settings {
     /// The paper's text where it differs from the defaults: 40,000 iterations; kernels in the place of the camera; movers wherever masks show some;
-    /// no loss on fine detail or shifts; motion and blur learn at constant rates, no hold, no gauge, the blur model's head as a
-    /// framework initialises it (the paper says nothing about it).
+    /// tracks as they are; no loss on fine detail or shifts, L1 of disparity; what stands still, motion and blur learn at constant
+    /// rates, no hold, no gauge, the blur model's head as a framework initialises it (the paper says nothing about it).
     #[must_use]
     pub fn paper() -> Self {
         let mut settings = Self {
@@ -403,6 +406,7 @@ impl Settings {
         settings.blur.hold = 0;
         settings.blur.mild_start = false;
         settings.loss.gauge = 0.0;
+        settings.loss.depth_round = 0.0;
         settings.loss.detail = 0.0;
         settings.loss.depth_shift = 0.0;
         settings.loss.offset_shift = 0.0;

@@ -56,7 +56,8 @@ fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
     }
     let percent = survey.sharpness_change.map(|c| 100.0 * c.exp_m1());
     Some(match percent {
-        None => "too few frames to tell whether they are blurred: blur is modelled".to_owned(),
+        None => "too few frames to tell whether they are blurred: blur is modelled (`blur.model = \"off\"` has no blur model)"
+            .to_owned(),
         Some(percent) if survey.blurred => {
             format!(
                 "fine contrast changes by {percent:.0} % from frame to frame: blur is modelled (`blur.model = \"off\"` has no \
@@ -109,7 +110,9 @@ fn movers_note(
         ),
         (false, _, _) => "no movers: no motion bases".to_owned(),
         (true, true, None) => {
-            "masks and tracks show movers; too few tracks are seen often enough to tell whether these move".to_owned()
+            "masks and tracks show movers; too few tracks are seen often enough to tell whether these move \
+             (`motion.when = \"never\"` leaves them out)"
+                .to_owned()
         }
         (true, true, Some(motion)) => {
             let found = format!(

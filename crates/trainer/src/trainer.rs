@@ -191,7 +191,10 @@ impl Trainer {
         };
         let unseen = filmed.unseen_views(&model.blur, size)?;
         if !unseen.is_empty() {
-            survey.notes.push(format!("{} unseen views", unseen.len()));
+            survey.notes.push(format!(
+                "{} unseen views (`unseen.when = \"never\"` has none)",
+                unseen.len()
+            ));
         }
         let plan = Plan {
             schedule: schedule_of(&settings, &views, &model, !unseen.is_empty()),

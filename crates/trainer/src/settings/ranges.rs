@@ -113,6 +113,12 @@ impl Settings {
             "0 to 1",
         );
         check(self.loss.ssim <= 1.0, "loss.ssim", "0 to 1");
+        let round = self.loss.depth_round;
+        check(
+            round == 0.0 || (1e-4..=10.0).contains(&round),
+            "loss.depth_round",
+            "0, or 0.0001 to 10",
+        );
         let l = &self.learning_rates;
         let positive = [
             (
@@ -203,6 +209,11 @@ mod tests {
         assert!(mistake(|s| s.blur.kernel_size = 8).contains("blur.kernel_size"));
         assert!(mistake(|s| s.iterations = 199).contains("iterations"));
         assert!(mistake(|s| s.loss.depth = f64::NAN).contains("loss.depth"));
+        for round in [f64::NAN, -0.05, 1e-40, f64::INFINITY] {
+            let mut settings = Settings::default();
+            settings.loss.depth_round = round;
+            assert!(settings.validate().is_err(), "{round}");
+        }
         assert!(Settings::default().validate().is_ok());
         assert!(Settings::paper().validate().is_ok());
     }
