@@ -125,8 +125,7 @@ pub fn depth_loss(
     depth: Tensor<2>,
     alpha: &Tensor<2>,
     given: Tensor<2>,
-    scene_size: f64,
-    round: f64,
+    [scene_size, round]: [f64; 2],
 ) -> Tensor<1> {
     assert_eq!(depth.dims(), alpha.dims(), "depth and alpha of one render");
     assert_eq!(depth.dims(), given.dims(), "one given depth per pixel");

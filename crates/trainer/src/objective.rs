@@ -41,8 +41,8 @@ impl Objective<'_> {
         if let Some(depth) = view.depth(seen) {
             terms.add("depth", weights.depth, || {
                 let alpha = fixed.rendered.alpha();
-                let (size, round) = (plan.survey.scene_size, weights.depth_round);
-                losses::depth_loss(rendered.depth(), &alpha, depth, size, round)
+                let options = [plan.survey.scene_size, weights.depth_round];
+                losses::depth_loss(rendered.depth(), &alpha, depth, options)
             });
         }
         let size = plan.survey.scene_size;

@@ -42,7 +42,7 @@ fn depth_case(name: &str, depth: Vec<f64>, alpha: f64, given: Vec<f32>) -> Case 
     loss_case("depth loss", name, [h, w], depth, move |x| {
         let alpha = x.full_like(f64::from(alpha as f32));
         let given = map_like(&given, &x);
-        depth_loss(x, &alpha, given, 3.0, 0.05)
+        depth_loss(x, &alpha, given, [3.0, 0.05])
     })
 }
 

@@ -325,7 +325,7 @@ fn depth_losses() {
             &|t, d, dtype| {
                 let alpha = tensor::<2>(&alpha, [height, width], &d.clone().inner(), dtype);
                 let given = map_like(&given, &t);
-                depth_loss(t, &alpha.autodiff(), given, scene_size, 0.05)
+                depth_loss(t, &alpha.autodiff(), given, [scene_size, 0.05])
             },
         );
         let nothing = vec![0.0; count];
@@ -337,7 +337,7 @@ fn depth_losses() {
             &|t, d, dtype| {
                 let alpha = tensor::<2>(&alpha, [height, width], &d.clone().inner(), dtype);
                 let nothing = map_like(&nothing, &t);
-                depth_loss(t, &alpha.autodiff(), nothing, scene_size, 0.05)
+                depth_loss(t, &alpha.autodiff(), nothing, [scene_size, 0.05])
             },
         );
     }

@@ -32,14 +32,14 @@ fn gradient_of_the_depth_loss_goes_to_the_depth_alone() {
             GradLimits::default(),
             |inputs| {
                 let given = map_like(&given, &inputs[0]);
-                depth_loss(inputs[0].clone(), &opaque, given, 1.7, 0.05)
+                depth_loss(inputs[0].clone(), &opaque, given, [1.7, 0.05])
             },
         );
         let device = device.autodiff();
         let leaf = |v: &[f64]| tensor(v, [height, width], &device, DType::F64).require_grad();
         let (depth, alpha_leaf) = (leaf(&depth), leaf(&alpha));
         let targets = map_like(&given, &depth);
-        let grads = depth_loss(depth.clone(), &alpha_leaf, targets, 1.7, 0.05).backward();
+        let grads = depth_loss(depth.clone(), &alpha_leaf, targets, [1.7, 0.05]).backward();
         let grad = values(depth.grad(&grads).expect("tracked"));
         assert!(alpha_leaf.grad(&grads).is_none(), "{name}");
         for k in 0..24 {
@@ -105,7 +105,7 @@ fn the_depth_loss_forgives_scale_and_shift_and_nothing_else() {
             let depth = tensor(&depth, [height, width], &device, DType::F64);
             let alpha = depth.full_like(alpha);
             let given = map_like(given, &depth);
-            scalar(depth_loss(depth, &alpha, given, scene_size, 0.05))
+            scalar(depth_loss(depth, &alpha, given, [scene_size, 0.05]))
         };
         let given: Vec<f32> = depth
             .iter()
@@ -140,7 +140,7 @@ fn the_depth_loss_pushes_less_the_less_depth_is_off() {
             let depth = tensor(&[1.0 / (0.5 + off); 10], shape, &device, DType::F64).require_grad();
             let opaque = depth.ones_like();
             let given = map_like(&[2.0; 10], &depth);
-            let loss = depth_loss(depth.clone(), &opaque, given, 1.0, round);
+            let loss = depth_loss(depth.clone(), &opaque, given, [1.0, round]);
             let grad = values(depth.grad(&loss.backward()).expect("tracked"))[0];
             // To the disparity 1 / z, from the mean over ten pixels.
             (scalar(loss), -grad * 10.0 / (0.5 + off).powi(2))
