@@ -2,9 +2,9 @@
 //! aligned with itself in every frame, is a basis (Shape of Motion, Wang et al. 2024, section 3.3).
 
 use crate::MotionError;
-use crate::basis_init::without_gaps;
+use crate::basis_init::{cluster_motion, without_gaps};
 use crate::clustering::cluster;
-use crate::merging::{Cluster, MAX_APART, Merging};
+use crate::merging::{Cluster, merge};
 use crate::selection::fewest;
 use crate::statistics::{half_range, median_point};
 use crate::tracks::Tracks3d;
@@ -93,17 +93,15 @@ pub fn initialize(tracks: &Tracks3d, options: &InitOptions) -> Result<MotionInit
     let extent = foreground_extent(&filled, canonical_frame);
     let clusters: Vec<Cluster> = cluster_tracks(&filled, extent, options)
         .into_par_iter()
-        .map(|members| Cluster::new(&filled, canonical_frame, members))
+        .map(|members| Cluster {
+            motion: cluster_motion(&filled, &members, canonical_frame),
+            members,
+        })
         .collect();
-    let merging = Merging {
-        tracks: &filled,
-        canonical: canonical_frame,
-        extent,
-    };
-    let mut clusters = merging.merge(with_motion(clusters), MAX_APART);
+    let mut clusters = merge(&filled, canonical_frame, extent, with_motion(clusters));
     let num_motions = clusters.len();
     if options.fewest {
-        clusters = fewest(&merging, clusters);
+        clusters = fewest(&filled, canonical_frame, extent, clusters);
     }
     let at = |&row: &usize| filled.positions[filled.index(row, canonical_frame)];
     let centers: Vec<DVec3> = clusters
