@@ -73,7 +73,10 @@ fn origin(of: &Origin) -> String {
     let machines: Vec<String> = of
         .machines
         .iter()
-        .map(|m| format!("{}, {} cores", m.processor, m.cores))
+        .map(|m| {
+            let cores = if m.cores == 1 { "core" } else { "cores" };
+            format!("{}, {} {cores}", m.processor, m.cores)
+        })
         .collect();
     let machines = match machines.len() {
         0 => String::new(),

@@ -65,6 +65,6 @@ function kernelFigure(pane, grid, state) {
   pane.append(state.mark);
   return [
     el("figure", {}, canvas, el("figcaption", {}, `kernel of ${grid.size} × ${grid.size} px, intensity ${decimals(intensity, 2)}`)),
-    el("p", {}, `Click the picture for the kernel there: ${grid.columns} × ${grid.rows} of them are kept of every frame.`),
+    el("p", {}, `Click the picture for the kernel there, or go by arrow keys from its mark: ${grid.columns} × ${grid.rows} of them are kept of every frame.`),
   ];
 }

@@ -9,8 +9,9 @@ const CURVES = [
 const CURVE = { width: 480, height: 190, left: 50, right: 8, top: 16, bottom: 22 };
 
 function showCurves({ curves, moments }) {
-  $("training").hidden = curves.iteration.length < 2;
-  if (curves.iteration.length < 2) return;
+  const few = curves.iteration.length < 2;
+  $("training").hidden = few;
+  if (few) return;
   $("curves").replaceChildren();
   const last = curves.iteration[curves.iteration.length - 1];
   const marks = [...new Set(moments.filter((moment) => moment.iteration <= last).map((moment) => moment.iteration))];
