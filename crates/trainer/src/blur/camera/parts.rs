@@ -157,7 +157,7 @@ impl CameraBlur {
 
     /// Leaves the lens out if it does not pay, also with each frame in better focus; takes the frames' errors as it is, and returns
     /// them with what stays, and what share of the error the lens is worth: beyond softer frames, or where focus saved it, by itself.
-    /// With `refocuses` every frame finds its best focus, whether the lens pays or not.
+    /// With `refocuses` every frame finds its best focus where the lens pays by itself, too.
     fn try_without_lens(
         &mut self,
         world: &World,
