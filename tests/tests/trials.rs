@@ -166,6 +166,30 @@ fn no_frame_is_averaged_from_more_renders_than_are_asked_for() {
     assert_eq!(samples, Some(2), "{figures:?}");
 }
 
+/// Paths too short for any frame to need them, of a camera that stands still, which hardly learns: they stay where they are asked for.
+#[test]
+fn paths_that_are_asked_for_stay_behind_the_last_trial() {
+    let device = Device::flex();
+    let scene = scene(0.0, 0.0, &device);
+    for (path, stay) in [(When::Auto, false), (When::Always, true)] {
+        let mut settings = settings(300, BlurKind::Camera);
+        settings.camera.path = path;
+        settings.camera.lens = When::Never;
+        settings.camera.start_px = 0.2;
+        settings.learning_rates.camera_path = 1e-6;
+        let trainer = Trainer::new(scene.clone(), settings.clone(), &device).expect("a trainer");
+        let last = trainer.schedule().blur_moments.len() - 1;
+        let trainer = behind_trial(last, scene.clone(), settings, &device).0;
+        let all_move = match trainer.evaluate().expect("scores").blur {
+            Some(BlurFigures::Camera(CameraFigures { frames, .. })) => {
+                frames.iter().all(|frame| frame.blur_px > 0.0)
+            }
+            _ => false,
+        };
+        assert_eq!(all_move, stay, "{path:?}");
+    }
+}
+
 #[test]
 fn what_the_first_trial_decides_is_said() {
     use When::{Always, Auto, Never};

@@ -74,7 +74,7 @@ impl BlurModel {
         let size = survey.scene_size;
         Ok(match settings.blur.model {
             BlurKind::Off => Self::Off,
-            BlurKind::Auto if !survey.blurred => Self::Off,
+            BlurKind::Auto if !survey.blurred && !settings.camera.is_asked_for() => Self::Off,
             BlurKind::Kernels => {
                 let kernels = Kernels::new(settings, size, views, (0, HeadInit::Mild), options)?;
                 Self::Kernels(Box::new(kernels))

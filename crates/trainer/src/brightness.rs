@@ -1,8 +1,7 @@
 //! How much the frames of a video differ in brightness: auto-exposure shows before anything is trained.
 
-use crate::correspondence::seen_in;
+use crate::correspondence::{Shared, shared};
 use crate::statistics::median;
-use crate::views::pixel_index;
 use io::Frame;
 
 /// The same things are seen equally bright in the frames of a video of fixed exposure, but for less than this (median of the
@@ -14,8 +13,6 @@ const STEP: usize = 2;
 const LEAST_SHARED: usize = 50;
 /// Values over this may have been cut off.
 const SATURATED: f32 = 0.98;
-/// What lies elsewhere in depth by more than this share is hidden.
-const HIDDEN: f64 = 0.05;
 
 /// Median change, as a logarithm, of the light that frames have in common: of neighbours and of those a quarter of the video
 /// apart, whichever is larger. `None` where too little is known in depth.
@@ -36,27 +33,15 @@ pub(crate) fn gains_differ(change: f64) -> bool {
 
 /// Size of the change from a frame to another.
 fn pair_change(a: &Frame, b: &Frame) -> Option<f64> {
-    let (depth, other) = (a.depth.as_ref()?, b.depth.as_ref()?);
-    let b_from_a = b.view.cam_from_world * a.view.cam_from_world.inverse();
-    let still = |frame: &Frame, i: usize| frame.mask.as_ref().is_none_or(|m| m.values[i] < 0.5);
     let (mut count, mut sums) = (0, [0.0; 2]);
-    let known = |i: usize| {
-        if still(a, i) {
-            f64::from(depth.values[i])
-        } else {
-            0.0
-        }
-    };
-    for seen in seen_in(&a.view.camera, known, &b.view.camera, b_from_a, STEP) {
-        let (i, j) = (seen.pixel, pixel_index(&b.view.camera, seen.at));
-        let hidden = (f64::from(other.values[j]) / seen.depth - 1.0).abs() > HIDDEN;
-        let colors = [(a, i), (b, j)].map(|(f, k)| &f.view.image.pixels[3 * k..3 * k + 3]);
-        let cut = colors.iter().any(|c| c.iter().any(|v| *v > SATURATED));
-        if hidden || cut || !still(b, j) {
+    for Shared { pixels, .. } in shared(a, b, STEP)? {
+        let [before, after] =
+            [(a, pixels[0]), (b, pixels[1])].map(|(f, k)| &f.view.image.pixels[3 * k..3 * k + 3]);
+        if before.iter().chain(after).any(|v| *v > SATURATED) {
             continue;
         }
         count += 1;
-        for (sum, color) in sums.iter_mut().zip(colors) {
+        for (sum, color) in sums.iter_mut().zip([before, after]) {
             *sum += color.iter().copied().map(f64::from).sum::<f64>();
         }
     }

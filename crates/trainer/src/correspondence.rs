@@ -1,8 +1,12 @@
 //! Which places of two frames show the same, by depth and pose.
 
-use crate::views::{pixel_center, seen_at};
+use crate::views::{pixel_center, pixel_index, seen_at};
 use glam::{DAffine3, DVec2};
+use io::Frame;
 use splat_core::Camera;
+
+/// What lies elsewhere in depth by more than this share is hidden.
+const HIDDEN: f64 = 0.05;
 
 /// A pixel of one frame, seen in another.
 #[derive(Clone, Copy, Debug)]
@@ -47,4 +51,46 @@ pub(crate) fn seen_in<'a>(
             depth: seen.z,
         })
     })
+}
+
+/// What stands still and is seen in two frames.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Shared {
+    /// Index of the pixel that sees it, in either frame.
+    pub(crate) pixels: [usize; 2],
+    /// Its z-depth in either frame.
+    pub(crate) depths: [f64; 2],
+}
+
+/// What of every `step`th row and column of a frame another one sees too: nothing that is masked, hidden in the other, or without
+/// depth in one of them. `None` where a frame has no depth at all.
+pub(crate) fn shared<'a>(
+    a: &'a Frame,
+    b: &'a Frame,
+    step: usize,
+) -> Option<impl Iterator<Item = Shared> + 'a> {
+    let (depth, other) = (a.depth.as_ref()?, b.depth.as_ref()?);
+    let b_from_a = b.view.cam_from_world * a.view.cam_from_world.inverse();
+    let known = move |i: usize| {
+        if is_still(a, i) {
+            f64::from(depth.values[i])
+        } else {
+            0.0
+        }
+    };
+    let seen = seen_in(&a.view.camera, known, &b.view.camera, b_from_a, step);
+    Some(seen.filter_map(move |seen| {
+        let there = pixel_index(&b.view.camera, seen.at);
+        let is_hidden = (f64::from(other.values[there]) / seen.depth - 1.0).abs() > HIDDEN;
+        (!is_hidden && is_still(b, there)).then(|| Shared {
+            pixels: [seen.pixel, there],
+            depths: [f64::from(depth.values[seen.pixel]), seen.depth],
+        })
+    }))
+}
+
+/// Whether a pixel shows nothing that is masked.
+pub(crate) fn is_still(frame: &Frame, pixel: usize) -> bool {
+    let mask = frame.mask.as_ref();
+    mask.is_none_or(|mask| mask.values[pixel] < 0.5)
 }

@@ -95,16 +95,23 @@ impl Trainer {
     /// # Errors
     /// There is no blur model for such views.
     pub fn course(&self, iterations: usize) -> Result<Course, TrainError> {
-        let settings = self.settings_of(iterations);
-        let blur = self.untrained_blur(&settings)?;
+        self.course_with(&self.settings_of(iterations))
+    }
+
+    /// The course of a run with other settings on this scene as it was surveyed.
+    ///
+    /// # Errors
+    /// There is no blur model for such views.
+    pub fn course_with(&self, settings: &Settings) -> Result<Course, TrainError> {
+        let blur = self.untrained_blur(settings)?;
         let moments = blur.moments();
-        let is_trial = |moment: &usize| *moment < iterations && blur.revises(*moment);
+        let is_trial = |moment: &usize| *moment < settings.iterations && blur.revises(*moment);
         let mut trials: Vec<usize> = moments.iter().copied().filter(is_trial).collect();
         // With both models, one of them may begin where the other's last trial is.
         trials.dedup();
         Ok(Course {
             blurred_from: moments.first().copied(),
-            blurred_pace: blurred_pace(&blur, &settings),
+            blurred_pace: blurred_pace(&blur, settings),
             trials,
         })
     }

@@ -4,7 +4,7 @@ use crate::alignment::fit_to_points;
 use crate::brightness::{brightness_change, gains_differ};
 use crate::error::{SceneProblem, TrainError};
 use crate::settings::{BlurKind, Settings, When};
-use crate::sharpness::{is_blurred, sharpness_change};
+use crate::sharpness::SharpnessChange;
 use crate::track_motion::{TrackMotion, track_motion};
 use crate::views::pixel_of;
 use io::Scene;
@@ -28,7 +28,12 @@ pub struct Survey {
     pub track_motion: Option<TrackMotion>,
     /// There is depth for at least one frame.
     pub depth: bool,
-    /// Median change of the fine contrast from a frame to the next, as a factor's logarithm; `None` where that cannot be told.
+    /// How much more than nine in ten pairs of frames differ in the fine contrast of what both see, as a factor's logarithm; `None`
+    /// where that cannot be told.
+    #[serde(default)]
+    pub shared_sharpness_change: Option<f64>,
+    /// Median change of the fine contrast of all that is seen from a frame to the next, as a factor's logarithm, by which frames are
+    /// judged where the other is not known; `None` where it cannot be told.
     pub sharpness_change: Option<f64>,
     /// Frames differ more in sharpness than those of a sharp video do, or it cannot be told.
     pub blurred: bool,
@@ -54,21 +59,36 @@ fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
     if settings.blur.model != BlurKind::Auto {
         return None;
     }
-    let percent = survey.sharpness_change.map(|c| 100.0 * c.exp_m1());
-    Some(match percent {
-        None => "too few frames to tell whether they are blurred: blur is modelled (`blur.model = \"off\"` has no blur model)"
-            .to_owned(),
-        Some(percent) if survey.blurred => {
+    let percent = |change: f64| {
+        let percent = 100.0 * change.exp_m1();
+        format!("{percent:.*} %", usize::from(percent < 10.0))
+    };
+    let found = match (survey.shared_sharpness_change, survey.sharpness_change) {
+        (Some(change), _) if survey.blurred => format!(
+            "what two frames share differs in fine contrast by {} or more in a tenth of the pairs",
+            percent(change)
+        ),
+        (Some(change), _) => format!(
+            "what two frames share differs in fine contrast by {} or less in nine of ten pairs",
+            percent(change)
+        ),
+        (None, Some(change)) => {
             format!(
-                "fine contrast changes by {percent:.0} % from frame to frame: blur is modelled (`blur.model = \"off\"` has no \
-                 blur model)"
+                "fine contrast changes by {} from frame to frame",
+                percent(change)
             )
         }
-        Some(percent) => format!(
-            "fine contrast changes by {percent:.1} % from frame to frame, as in a sharp video: no blur model \
-             (`blur.model = \"camera\"` has one all the same)"
-        ),
-    })
+        (None, None) => "too few frames to tell whether they are blurred".to_owned(),
+    };
+    let decision = if survey.blurred {
+        "blur is modelled (`blur.model = \"off\"` has no blur model)"
+    } else if settings.camera.is_asked_for() {
+        "as in a sharp video; blur is modelled since `camera.path` or `camera.lens` is \"always\""
+    } else {
+        "as in a sharp video: no blur model (`blur.model = \"camera\"` has one all the same)"
+    };
+    let joint = if survey.blurred { ":" } else { "," };
+    Some(format!("{found}{joint} {decision}"))
 }
 
 /// Why frames have gains of their own, where that is left to the survey.
@@ -196,7 +216,7 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
     }
     let given = [masked, tracked];
     notes.push(movers_note(given, track_motion.as_ref(), asked, movers));
-    let sharpness_change = sharpness_change(&scene.frames);
+    let sharpness = SharpnessChange::of(&scene.frames);
     let brightness_change = brightness_change(&scene.frames);
     Ok(Survey {
         scene_size,
@@ -204,8 +224,9 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
         movers,
         track_motion,
         depth,
-        sharpness_change,
-        blurred: sharpness_change.is_none_or(is_blurred),
+        shared_sharpness_change: sharpness.shared,
+        sharpness_change: sharpness.whole,
+        blurred: sharpness.is_blurred(),
         brightness_change,
         gains_differ: brightness_change.is_some_and(gains_differ),
         notes,

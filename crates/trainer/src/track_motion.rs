@@ -5,7 +5,7 @@
 //! standing still as from the best of them. So it tells what leaves its epipolar lines, and what stays on them but is seen where
 //! another depth would be.
 
-use crate::statistics::median;
+use crate::statistics::{median, quantile};
 use crate::track_sample::{is_sure, position};
 use crate::views::{is_inside, pixel_index};
 use glam::{DAffine3, DVec2, DVec3};
@@ -33,6 +33,12 @@ const TRIED: usize = 12;
 const ROUNDS: usize = 3;
 /// A track's distance is what this share of its positions stays within: trackers are wrong now and then.
 const POSITIONS: f64 = 0.7;
+/// What rests for most of a video and moves then is told by a part of it: the largest number of parts, …
+const PARTS: usize = 3;
+/// … the fewest positions of one, …
+const PART_SEEN: usize = 8;
+/// … and the share of its distance that counts, for poses drift.
+const OF_PART: f64 = 0.5;
 /// The median length of a vector whose two components are normal, of a standard deviation of 1.
 const MEDIAN_LENGTH: f64 = 1.177;
 /// A track leaves beyond so many times the noise, …
@@ -81,7 +87,7 @@ impl TrackMotion {
 struct Fit {
     /// Where the track starts, px.
     start: DVec2,
-    /// What [`POSITIONS`] of its positions stay within, px.
+    /// What [`POSITIONS`] of its positions stay within, or [`OF_PART`] of what those of a part of it do, whichever is more, px.
     distance: f64,
     /// How far each position is from the middle of its neighbours in time, as noise of a position, px.
     noises: Vec<f64>,
@@ -225,7 +231,7 @@ fn fit(scene: &Scene, query: usize, row: &[Option<DVec2>], depths: [f64; 2]) -> 
             let Some(away) = away(&seen, inverse_depth) else {
                 continue;
             };
-            let distance = typical_length(&away);
+            let distance = distance(&away);
             if best.is_none_or(|(least, _)| distance < least) {
                 best = Some((distance, inverse_depth));
             }
@@ -272,12 +278,16 @@ fn away(seen: &[Seen<'_>], inverse_depth: f64) -> Option<Vec<DVec2>> {
     Some(away)
 }
 
-/// What most of some vectors, of which there is at least one, are no longer than.
-fn typical_length(vectors: &[DVec2]) -> f64 {
-    let mut lengths: Vec<f64> = vectors.iter().map(|v| v.length()).collect();
-    lengths.sort_unstable_by(f64::total_cmp);
-    let rank = (POSITIONS * lengths.len() as f64) as usize;
-    lengths[rank.min(lengths.len() - 1)]
+/// How far positions of a track are from where they would be, of which there is at least one.
+fn distance(away: &[DVec2]) -> f64 {
+    let typical = |part: &[DVec2]| {
+        let lengths: Vec<f64> = part.iter().map(|v| v.length()).collect();
+        quantile(&lengths, POSITIONS)
+    };
+    let parts = (away.len() / PART_SEEN).clamp(1, PARTS);
+    let parts = away.chunks(away.len().div_ceil(parts));
+    let of_parts = parts.map(|part| OF_PART * typical(part));
+    of_parts.fold(typical(away), f64::max)
 }
 
 /// The share of the masks' cells that have one of the tracks in them or beside them; 1 where nothing is masked.

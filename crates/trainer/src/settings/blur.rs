@@ -95,6 +95,12 @@ pub struct CameraSettings {
 }
 
 impl CameraSettings {
+    /// Whether a part of it is to be there whatever a scene requires.
+    #[must_use]
+    pub fn is_asked_for(&self) -> bool {
+        [self.path, self.lens].contains(&When::Always)
+    }
+
     /// From how many renders a frame is averaged at most where a path and a lens blur it.
     #[must_use]
     pub fn most_samples(&self) -> usize {

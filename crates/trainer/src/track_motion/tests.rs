@@ -6,7 +6,7 @@ use io::{Image, TrackSample, Tracks, View};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-const FRAMES: usize = 12;
+const FRAMES: usize = 24;
 const WIDTH: usize = 256;
 const HEIGHT: usize = 144;
 /// The wall is at z = 4 + 0.3 x.
@@ -23,6 +23,8 @@ struct Errors {
     wrong: f64,
     /// Poses, standard deviation of a turn, px.
     pose: f64,
+    /// Poses, standard deviation of a turn that changes slowly, px.
+    drift: f64,
     /// Depth, as a share.
     depth: f64,
 }
@@ -31,6 +33,7 @@ const SOME: Errors = Errors {
     noise: 0.6,
     wrong: 0.03,
     pose: 0.5,
+    drift: 0.0,
     depth: 0.08,
 };
 
@@ -85,8 +88,10 @@ fn scene(
             values,
         };
         let off = errors.pose / 213.0;
-        let turned = DQuat::from_rotation_y(off * normal(&mut rng))
-            * DQuat::from_rotation_x(off * normal(&mut rng));
+        let slow = std::f64::consts::SQRT_2 * errors.drift / 213.0;
+        let (sin, cos) = (0.3 * t as f64 + seed as f64).sin_cos();
+        let turned = DQuat::from_rotation_y(off * normal(&mut rng) + slow * sin)
+            * DQuat::from_rotation_x(off * normal(&mut rng) + slow * cos);
         Frame {
             view: View {
                 name: format!("{t}"),
@@ -157,14 +162,16 @@ fn what_stands_still_is_told_whatever_is_a_bit_off() {
         noise: 0.0,
         wrong: 0.0,
         pose: 0.0,
+        drift: 0.0,
         depth: 0.0,
     };
     let coarse = Errors { pose: 1.2, ..SOME };
+    let drifts = Errors { drift: 0.8, ..SOME };
     let lost = Errors {
         wrong: 0.06,
         ..SOME
     };
-    for (k, errors) in [none, SOME, coarse, lost].into_iter().enumerate() {
+    for (k, errors) in [none, SOME, coarse, drifts, lost].into_iter().enumerate() {
         for seed in 0..3 {
             let found = told(&scene(seed, errors, place, |_, _| DVec3::ZERO));
             assert!(found.stands_still() && !found.moves(), "{k}: {found:?}");
@@ -196,6 +203,19 @@ fn a_camera_that_only_turns_tells_what_moves_too() {
     assert!(told(&scene(1, SOME, here, |_, _| DVec3::ZERO)).stands_still());
     let sways = |_: DVec3, t: usize| DVec3::new(0.3 * (0.6 * t as f64).sin(), 0.0, 0.0);
     assert!(told(&scene(1, SOME, here, sways)).moves());
+}
+
+/// A car that drives off at the end of a video, or one that comes to rest early.
+#[test]
+fn what_rests_for_most_of_the_video_is_told() {
+    let last = |_: DVec3, t: usize| DVec3::new(0.0, 0.08 * t.saturating_sub(18) as f64, 0.0);
+    let first = |_: DVec3, t: usize| DVec3::new(0.0, -0.08 * 6_usize.saturating_sub(t) as f64, 0.0);
+    for seed in 0..3 {
+        for moved in [last, first] {
+            let found = told(&scene(seed, SOME, place, moved));
+            assert!(found.moves() && found.leaving > 0.5, "{found:?}");
+        }
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ use super::CameraBlur;
 use super::parts::Decision;
 use crate::TrainError;
 use crate::look::Look;
+use crate::settings::When;
 use crate::statistics::median;
 use crate::tensors::{constant, host, leaf, set_row};
 use crate::world::World;
@@ -111,7 +112,7 @@ impl CameraBlur {
                 }
             }
             self.try_path(world, look, reversed(&best.1), &mut best)?;
-            if last && lengths[frame] < 1.0 {
+            if last && self.settings.path != When::Always && lengths[frame] < 1.0 {
                 // What does not pay is left out for good.
                 let still = vec![0.0; own.len()];
                 self.set_path(frame, &still);
