@@ -183,10 +183,20 @@ impl TrainArguments {
                 config::insert(&mut table, key, value);
             }
         }
-        for assignment in &self.set {
-            config::set(&mut table, assignment)?;
-        }
+        self.set_by_name(&mut table)?;
         Ok(table)
+    }
+
+    /// Whether a flag says how many iterations there are to be.
+    pub(crate) fn says_a_length(&self) -> Result<bool, Failure> {
+        let mut named = Table::new();
+        self.set_by_name(&mut named)?;
+        Ok(self.iterations.is_some() || named.contains_key("iterations"))
+    }
+
+    fn set_by_name(&self, table: &mut Table) -> Result<(), Failure> {
+        let mut all = self.set.iter();
+        all.try_for_each(|assignment| config::set(table, assignment))
     }
 }
 
@@ -232,10 +242,12 @@ mod tests {
         assert_eq!(draft.seed, 7);
         let longer = of(&["--preset", "draft", "--iterations", "700"]);
         assert_eq!((longer.iterations, longer.camera), (700, draft.camera));
+        let full = of(&["--preset", "full"]);
+        let defaults = Settings::default();
+        assert_eq!(full.iterations, defaults.iterations);
+        assert_eq!(full.camera.samples, defaults.camera.samples);
+        assert_eq!(full.camera.spacing_px, 1.0, "a preset says nothing of it");
         let set = of(&["--preset", "full", "--set", "camera.samples=5"]);
-        let full = Settings::default();
-        assert_eq!(set.iterations, full.iterations);
         assert_eq!(set.camera.samples, 5);
-        assert_eq!(set.camera.spacing_px, 1.0, "a preset says nothing of it");
     }
 }

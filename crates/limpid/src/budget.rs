@@ -5,13 +5,13 @@ use crate::failure::Failure;
 use crate::memory::mib;
 use crate::progress::duration;
 use std::time::Instant;
-use trainer::{BlurModel, Course, Trainer};
+use trainer::{BlurModel, Course, Settings, Trainer};
 
 /// The first iterations of a part of a run take longer, and do not count.
 const WARM: usize = 5;
 /// So many behind them do.
 const TIMED: usize = 20;
-/// Trying a longer run until its first trial is over may take this share of the time.
+/// Trying a longer run until its first trial is over may take this share of the time that is left.
 const TRIED: f64 = 0.25;
 /// Where no trial was timed: one looks at each frame as long as so many iterations do, about.
 const TRIAL_LOOKS: f64 = 4.0;
@@ -46,7 +46,7 @@ pub(crate) fn fit(
         && let Some(trial) = course.trials.first()
     {
         let far = trial + 1 + WARM + TIMED;
-        if far < chosen && tried.seconds(far, &course) < TRIED * total {
+        if far < chosen && tried.seconds(far, &course) < TRIED * left(tried.ending) {
             trainer.begin_again(&start, chosen)?;
             tried = Tried::of(trainer, far, &course)?;
             chosen = tried.longest(trainer, least, most, left(tried.ending))?;
@@ -97,15 +97,15 @@ fn expected_loss(iterations: usize) -> &'static str {
     }
 }
 
-/// What runs of these lengths would take, by the first iterations of one; the trainer has made them then.
-pub(crate) fn foretell(trainer: &mut Trainer, lengths: &[usize]) -> Result<Vec<f64>, Failure> {
+/// What runs with such settings would take, by the first iterations of one; the trainer has made them then.
+pub(crate) fn foretell(trainer: &mut Trainer, runs: &[Settings]) -> Result<Vec<f64>, Failure> {
     let seconds = timed(trainer, WARM + TIMED)?;
     let frames = trainer.run().views().train.len();
-    let one = |length: &usize| {
-        let course = trainer.course(*length)?;
-        Ok(Tried::by(&seconds, &course, frames).seconds(*length, &course))
+    let one = |settings: &Settings| {
+        let course = trainer.course_with(settings)?;
+        Ok(Tried::by(&seconds, &course, frames).seconds(settings.iterations, &course))
     };
-    lengths.iter().map(one).collect()
+    runs.iter().map(one).collect()
 }
 
 /// Trains so many iterations, and says how many seconds each took.
@@ -232,6 +232,8 @@ pub(crate) struct Forecast {
     warm: Option<Instant>,
     /// What the last trial took, seconds.
     trial: f64,
+    /// Trials among the iterations that count of the part, and what they took, seconds.
+    among: (usize, f64),
     iterations: usize,
     /// What else there is to say behind the first part.
     memory: String,
@@ -278,6 +280,7 @@ impl Forecast {
             before: None,
             warm: None,
             trial: 0.0,
+            among: (0, 0.0),
             iterations,
             memory,
         }
@@ -295,16 +298,20 @@ impl Forecast {
         let trials = &self.course.trials;
         if trials.contains(&(iteration - 1)) {
             self.trial = before.map_or(0.0, |before| (now - before).as_secs_f64());
+            self.among = (self.among.0 + 1, self.among.1 + self.trial);
         }
         let part = *self.parts.last()?;
         if iteration == part + WARM {
             self.warm = Some(now);
+            self.among = (0, 0.0);
         }
         if iteration < part + WARM + TIMED {
             return None;
         }
         self.parts.pop();
-        let pace = (now - self.warm?).as_secs_f64() / TIMED as f64;
+        let (trials_among, took) = self.among;
+        let pace =
+            ((now - self.warm?).as_secs_f64() - took) / TIMED.saturating_sub(trials_among) as f64;
         let ahead = trials.iter().filter(|trial| **trial >= iteration);
         let iterating = pace * self.iterations.saturating_sub(iteration) as f64;
         let left = duration(iterating + self.trial * ahead.count() as f64);
@@ -445,6 +452,24 @@ mod tests {
             first.contains("expects about 57 s") && first.contains(law),
             "{first}"
         );
+        // A trial among the iterations that count is no part of their pace.
+        let soon = Course {
+            blurred_from: Some(100),
+            blurred_pace: 3.0,
+            trials: vec![116],
+        };
+        let mut forecast = Forecast::of(0, (400, None), soon, String::new());
+        let mut now = start;
+        let last = (1..=400).filter_map(|it| {
+            now += Duration::from_millis(match it {
+                ..=100 => 20,
+                117 => 960,
+                _ => 80,
+            });
+            forecast.after(it, now)
+        });
+        let last = last.last().expect("a line");
+        assert!(last.contains("about 22 s more"), "275 iterations: {last}");
         // What goes on behind all of that has one part.
         let later = Forecast::of(600, (1000, None), course(1000), String::new());
         assert_eq!(later.parts, [600]);

@@ -112,23 +112,22 @@ fn cost(trainer: &mut Trainer, config: &Config) -> Result<String, Failure> {
     memory::warn(trainer, config);
     let memory = memory::expected(trainer, config);
     let presets = Preset::value_variants();
-    let lengths: Vec<usize> = presets
-        .iter()
-        .map(|preset| Ok(preset.settings()?.iterations))
-        .collect::<Result<_, Failure>>()?;
-    let seconds = budget::foretell(trainer, &lengths)?;
+    let settings = presets.iter().map(|preset| preset.over(config));
+    let settings = settings.collect::<Result<Vec<_>, _>>()?;
+    let seconds = budget::foretell(trainer, &settings)?;
     let mut text = format!(
         "training itself would take, about, on {} threads of this machine:\n",
         rayon::current_num_threads()
     );
-    for ((preset, length), seconds) in presets.iter().zip(lengths).zip(seconds) {
+    for ((preset, settings), seconds) in presets.iter().zip(settings).zip(seconds) {
         let name = preset
             .to_possible_value()
             .expect("a name that can be given");
         writeln!(
             text,
-            "  --preset {}, {length} iterations: {}",
+            "  --preset {}, {} iterations: {}",
             name.get_name(),
+            settings.iterations,
             duration(seconds)
         )?;
     }

@@ -22,6 +22,7 @@ pub(crate) struct Lengths {
 /// A run that has ended.
 struct Ended {
     run: Kept,
+    iterations: usize,
     /// Of pixels that are held back, dB.
     psnr: f64,
     /// Its log.
@@ -65,8 +66,9 @@ impl Lengths {
             format!("{iterations} iterations: {psnr:.2} dB of pixels that are held back");
         let before = self.before.take();
         let gained = before.as_ref().map(|before| psnr - before.psnr);
-        if let Some(gained) = gained {
-            said += &format!(", {gained:+.2} dB by twice the length");
+        if let Some((before, gained)) = before.as_ref().zip(gained) {
+            let times = iterations as f64 / before.iterations as f64;
+            said += &format!(", {gained:+.2} dB by {times:.2} times the length");
         }
         match (decision(iterations, self.most, gained), before) {
             (Decision::Back, Some(before)) => {
@@ -77,7 +79,12 @@ impl Lengths {
             }
             (Decision::Longer(next), _) => {
                 let run = trainer.keep();
-                self.before = Some(Ended { run, psnr, log });
+                self.before = Some(Ended {
+                    run,
+                    iterations,
+                    psnr,
+                    log,
+                });
                 trainer.begin_again(&self.start, next)?;
                 // What was trained before took its time too.
                 trainer.count_seconds(seconds);

@@ -26,9 +26,9 @@ impl Preset {
         })?)
     }
 
-    /// All settings with it.
-    pub(crate) fn settings(self) -> Result<Settings, Failure> {
-        Ok(from_table(self.table()?, &Config::of(Settings::default()))?.settings)
+    /// All settings with it, and others as they are.
+    pub(crate) fn over(self, config: &Config) -> Result<Settings, Failure> {
+        Ok(from_table(self.table()?, config)?.settings)
     }
 }
 
@@ -40,9 +40,26 @@ mod tests {
 
     #[test]
     fn presets_have_settings_that_there_are_and_full_is_what_is_taken_by_default() {
-        let settings = |preset: Preset| preset.settings().expect("settings");
+        let defaults = Config::of(Settings::default());
+        let settings = |preset: Preset| preset.over(&defaults).expect("settings");
         let all = Preset::value_variants().iter().copied().map(settings);
         assert!(all.is_sorted_by_key(|settings| settings.iterations));
+        let names = |preset: &Preset| {
+            let mut names = Vec::new();
+            for (name, value) in preset.table().expect("a table") {
+                let inner = value.as_table().into_iter().flat_map(Table::keys);
+                names.extend(inner.map(|inner| format!("{name}.{inner}")));
+                names.push(name);
+            }
+            names.sort();
+            names
+        };
+        let mut all = Preset::value_variants().iter().map(names);
+        let first = all.next().expect("presets");
+        assert!(
+            all.all(|names| names == first),
+            "each takes back what another one says"
+        );
         let full = settings(Preset::Full);
         assert!(differences(&full, &Settings::default()).is_empty());
     }

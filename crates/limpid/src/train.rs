@@ -309,9 +309,12 @@ fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
     for profile in differences(&asked.defaults(), &Settings::default()) {
         config::insert(&mut table, &profile.setting, Value::try_from(profile.here)?);
     }
-    let own = asked.table()?;
-    let says_a_length = own.contains_key("iterations");
-    config::merge(&mut table, own);
+    config::merge(&mut table, asked.table()?);
+    let says_a_length = asked.says_a_length()?;
+    if !says_a_length {
+        // A profile, a preset or a file that it began with is no wish for another length than it was given then.
+        table.remove("iterations");
+    }
     let scene = table.get("scene").and_then(Value::as_str).map(Path::new);
     let scene = scene.map(absolute).transpose()?;
     let out = asked.out(scene.as_deref())?;

@@ -121,7 +121,23 @@ fn a_run_that_was_killed_goes_on_with_its_own_settings_or_names_the_difference()
         );
     }
 
-    // The same settings are no difference, however they are given.
+    // The same settings are no difference, however they are given, and a preset's length is no wish for another one.
+    let again = output(&[
+        "train",
+        "--resume",
+        "--preset",
+        "full",
+        "--set",
+        "motion.first_fit_steps=40",
+        "--out",
+        path(&out),
+    ])?;
+    assert!(again.status.success(), "{}", text(&again.stderr));
+    assert!(
+        text(&again.stderr).contains("going on after iteration 210 of 210"),
+        "{}",
+        text(&again.stderr)
+    );
     let config = out.join("config.json");
     let again = output(&[
         "train",
