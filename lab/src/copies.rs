@@ -1,6 +1,8 @@
 //! A copy of a scene in which one thing is another: a folder of links but for that.
 
 use crate::error::LabError;
+use crate::hash::{hashed, hex};
+use crate::plan::write_whole;
 use glam::DVec2;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -9,7 +11,8 @@ use std::path::{Path, PathBuf};
 pub(crate) const PICTURES: &[&str] = &["png", "jpg", "jpeg"];
 
 /// Makes `copy` a folder of links to everything in `scene` but `part`, a path below it, which `write` makes: it is given where
-/// that is in the scene and where it goes. Nothing is done where the copy is there already; one that is half made is made anew.
+/// that is in the scene and where it goes. Nothing is done where the copy is there already and the scene is still what it was made
+/// of; one that is half made, or of what is another scene by now, is made anew.
 ///
 /// # Errors
 /// The scene has no such part, `write` says one, or nothing can be written.
@@ -26,17 +29,63 @@ pub(crate) fn make(
     let lock = File::create(&path).map_err(LabError::file(&path))?;
     // Some file systems have no locks.
     lock.lock().ok();
-    let made = if copy.exists() {
-        Ok(())
-    } else {
-        let mut half = copy.to_owned().into_os_string();
-        half.push(".half");
-        let half = PathBuf::from(half);
-        make_at(&half, scene, part, write)
-            .and_then(|()| fs::rename(&half, copy).map_err(LabError::file(copy)))
-    };
+    let made = make_alone(copy, scene, part, write);
     lock.unlock().ok();
     made
+}
+
+/// See [`make`]; no other process is at it.
+fn make_alone(
+    copy: &Path,
+    scene: &Path,
+    part: &Path,
+    write: impl FnOnce(&Path, &Path) -> Result<(), LabError>,
+) -> Result<(), LabError> {
+    let beside = |ending: &str| {
+        let mut path = copy.to_owned().into_os_string();
+        path.push(ending);
+        PathBuf::from(path)
+    };
+    let (half, note) = (beside(".half"), beside(".of"));
+    let state = state(scene)?;
+    let is_of = || fs::read_to_string(&note).is_ok_and(|noted| noted == state);
+    if copy.exists() && is_of() {
+        return Ok(());
+    }
+    make_at(&half, scene, part, write)?;
+    if copy.exists() {
+        fs::remove_dir_all(copy).map_err(LabError::file(copy))?;
+    }
+    fs::rename(&half, copy).map_err(LabError::file(copy))?;
+    write_whole(&note, &state)
+}
+
+/// Stands for where a scene is and what is in it: names, sizes and times of its files.
+fn state(scene: &Path) -> Result<String, LabError> {
+    let mut found = vec![scene.to_string_lossy().into_owned()];
+    list(scene, DEEPEST, &mut found)?;
+    Ok(hex(&hashed(found.iter().map(String::as_str))[..8]))
+}
+
+/// Folders are not looked into that lie so deep in a scene: links may lead in a circle.
+const DEEPEST: usize = 6;
+
+fn list(folder: &Path, depth: usize, found: &mut Vec<String>) -> Result<(), LabError> {
+    for entry in entries(folder)? {
+        // What a link leads to; one that leads nowhere is no file.
+        let Ok(about) = fs::metadata(&entry) else {
+            continue;
+        };
+        if about.is_dir() {
+            if depth > 1 {
+                list(&entry, depth - 1, found)?;
+            }
+        } else {
+            let (size, time) = (about.len(), about.modified().ok());
+            found.push(format!("{} {size} {time:?}", entry.display()));
+        }
+    }
+    Ok(())
 }
 
 fn make_at(

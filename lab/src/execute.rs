@@ -54,11 +54,19 @@ pub(crate) struct Attempt {
     pub(crate) cpu_seconds: Option<f64>,
     /// Most memory that was in use at once, MiB.
     pub(crate) peak_mib: Option<f64>,
+    /// Whether it went on from a checkpoint of the one before.
+    #[serde(default = "yes")]
+    pub(crate) resumed: bool,
     /// How it died; absent where it finished or was asked to end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) failed: Option<Failed>,
     /// Where.
     pub(crate) machine: Machine,
+}
+
+/// Of records that do not say it.
+fn yes() -> bool {
+    true
 }
 
 impl Record {
@@ -75,11 +83,14 @@ impl Record {
         }
     }
 
-    /// All attempts together: a run that went on from a checkpoint took what they all took. `None` where that is not known of all.
+    /// All attempts together since the last that began from nothing: a run that went on from a checkpoint took what they all took.
+    /// `None` where that is not known of all.
     pub(crate) fn measured(&self) -> Option<Measured> {
         let last = self.attempts.last()?;
-        let peaks = self.attempts.iter().filter_map(|a| a.peak_mib);
-        let sum = |of: fn(&Attempt) -> Option<f64>| self.attempts.iter().map(of).sum();
+        let fresh = self.attempts.iter().rposition(|a| !a.resumed);
+        let counted = &self.attempts[fresh.unwrap_or(0)..];
+        let peaks = counted.iter().filter_map(|a| a.peak_mib);
+        let sum = |of: fn(&Attempt) -> Option<f64>| counted.iter().map(of).sum();
         let [cpu, wall]: [Option<f64>; 2] = [sum(|a| a.cpu_seconds), sum(|a| a.wall_seconds)];
         Some(Measured {
             cpu_seconds: cpu?,
@@ -156,7 +167,8 @@ fn train(
     let log = beside(folder, "log");
     let mut command = Command::new(&program.path);
     command.args(&run.arguments);
-    if has_checkpoint(folder) {
+    let resumed = has_checkpoint(folder);
+    if resumed {
         // With all arguments: the program refuses a checkpoint that is of another run.
         command.arg("--resume");
     } else if folder.exists() && !is_alone {
@@ -182,12 +194,17 @@ fn train(
     // Runs go side by side, and a thread each is the most that all of them together can use.
     command.env("RAYON_NUM_THREADS", "1");
 
+    // A process is measured from before it becomes another program, when it still has this one's memory: of this one's peak, which
+    // planning may have made, it would be said to have used as much.
+    fs::write("/proc/self/clear_refs", "5").ok();
+
     let clock = Instant::now();
     let mut attempt = Attempt {
         began: now(),
         wall_seconds: None,
         cpu_seconds: None,
         peak_mib: None,
+        resumed,
         failed: None,
         machine: Machine::here(),
     };
@@ -384,6 +401,24 @@ mod tests {
                 "the folder was taken away before"
             );
         }
+        // What was thrown away is no part of what a run takes.
+        let record = Record::read(&run.folder).expect("a record");
+        let [mut first, second] = <[Attempt; 2]>::try_from(record.attempts).expect("two");
+        let measured = |attempts: &[Attempt]| {
+            let attempts = attempts.to_vec();
+            Record { attempts }.measured().map(|m| m.cpu_seconds)
+        };
+        assert!(!first.resumed && !second.resumed);
+        first.cpu_seconds = None;
+        let attempts = [first, second.clone()];
+        assert_eq!(measured(&attempts), second.cpu_seconds);
+        let [first, mut second] = attempts;
+        second.resumed = true;
+        assert_eq!(
+            measured(&[first, second]),
+            None,
+            "it went on from what nobody measured"
+        );
     }
 
     #[test]

@@ -31,7 +31,8 @@ pub fn gather(
         version: program.version.clone(),
         commit: program.commit.clone(),
         changed: program.changed,
-        fingerprint: program.changed.then(|| program.fingerprint.clone()),
+        fingerprint: (program.changed || program.commit.is_none())
+            .then(|| program.fingerprint.clone()),
         dates: None,
         machines: Vec::new(),
     };
@@ -176,11 +177,12 @@ except = ["b"]
     fn write(places: &Places, case: &Case, all: Option<f64>) {
         let folder = places.runs().join(&case.run.id);
         fs::create_dir_all(&folder).expect("a folder");
-        let attempt = |failed| crate::execute::Attempt {
+        let attempt = |resumed, failed| crate::execute::Attempt {
             began: 86_400 * case.seed,
             wall_seconds: Some(3.0),
             cpu_seconds: Some(2.0),
             peak_mib: Some(100.0),
+            resumed,
             failed,
             machine: Machine {
                 processor: "a chip".to_owned(),
@@ -191,9 +193,9 @@ except = ["b"]
             how: how.to_owned(),
             last_lines: vec!["it was".to_owned(), "the end".to_owned()],
         };
-        let mut attempts = vec![attempt(Some(how("exit code 1")))];
+        let mut attempts = vec![attempt(false, Some(how("exit code 1")))];
         if let Some(all) = all {
-            attempts.push(attempt(None));
+            attempts.push(attempt(true, None));
             let metrics = format!("{{\"test\": {{\"mpsnr\": {all}}}}}");
             fs::write(folder.join("metrics.json"), metrics).expect("written");
         }
@@ -280,7 +282,7 @@ except = ["b"]
             "limpid 0, commit `abc`, 1970-01-02 to 1970-01-03, on a chip, 4 cores; one thread a run.",
             "| on | 2 | 28.00 ± 1.00 (**+6.50 ± 0.50**; 65 %) | 4.0 ± 0.0 (×1.00 ± 0.00) |",
             "| on | 1 | 29.00 (-1.00) | 4.0 (×1.00) |",
-            "| on | 2 | +2.75; 65 % | ×1.00 |",
+            "| on | 2 | +2.75; 65 % (of 1) | ×1.00 |",
             "![T](s.svg)",
             "- `b`, on, seed 2",
             "exit code 1: the end",
@@ -352,6 +354,13 @@ except = ["b"]
         assert_eq!(elsewhere.finished, 10);
         assert_eq!(elsewhere.origin, half.origin);
         assert_eq!(elsewhere.earlier, [whole.origin]);
+
+        // An arm by another name asks for what it asked for.
+        let renamed = STUDY.replace("\"on\"", "\"with\"");
+        assert_ne!(renamed, STUDY);
+        let renamed = Study::parse(&renamed, path).expect("a study");
+        let all = cases(&renamed, path, "p").expect("cases");
+        assert!(all.iter().all(|case| kept.holds(case) == (case.seed == 1)));
 
         // An arm that asks for something else now is not what was kept under its name.
         let changed = STUDY.replace("set.x = 1", "set.x = 3");

@@ -177,8 +177,7 @@ impl Asked {
 }
 
 impl StudyArguments {
-    fn plan(&self) -> Result<Plan, LabError> {
-        let asked = Asked::read(&self.study, &self.out, self.kept.as_deref())?;
+    fn plan(&self, asked: &Asked) -> Result<Plan, LabError> {
         let places = &asked.places;
         let this = std::env::current_exe();
         let this = this.map_err(|e| LabError::Asked(format!("this program is nowhere: {e}")))?;
@@ -206,7 +205,7 @@ impl StudyArguments {
     }
 
     fn plan_for(&self, engine: Option<Engine>) -> Result<ExitCode, LabError> {
-        let plan = self.plan()?;
+        let plan = self.plan(&self.asked()?)?;
         if let Some(engine) = engine {
             let places = Places {
                 out: self.out.clone(),
@@ -220,24 +219,34 @@ impl StudyArguments {
         Ok(ExitCode::SUCCESS)
     }
 
+    fn asked(&self) -> Result<Asked, LabError> {
+        Asked::read(&self.study, &self.out, self.kept.as_deref())
+    }
+
     fn run(&self) -> Result<ExitCode, LabError> {
+        Ok(self.run_of(&self.asked()?)?.1)
+    }
+
+    /// Runs a study; what was planned comes back with the exit code.
+    fn run_of(&self, asked: &Asked) -> Result<(Plan, ExitCode), LabError> {
         let children = listen()?;
-        let plan = self.plan()?;
+        let plan = self.plan(asked)?;
         let tally = run_all(&plan, self.jobs(), &children, say)?;
         summary(&tally);
-        Ok(if !tally.failed.is_empty() {
-            ExitCode::FAILURE
-        } else if children.are_stopped() {
+        let code = if children.are_stopped() && tally.failed.is_empty() {
             ExitCode::from(INTERRUPTED)
-        } else {
+        } else if tally.failed.is_empty() && tally.left == 0 {
             ExitCode::SUCCESS
-        })
+        } else {
+            ExitCode::FAILURE
+        };
+        Ok((plan, code))
     }
 
     fn run_and_gather(&self) -> Result<ExitCode, LabError> {
-        let code = self.run()?;
-        let asked = Asked::read(&self.study, &self.out, self.kept.as_deref())?;
-        write_report(&asked, &asked.places.study(&asked.name))?;
+        let asked = self.asked()?;
+        let (plan, code) = self.run_of(&asked)?;
+        write_report(&asked, &plan, &asked.places.study(&asked.name))?;
         Ok(code)
     }
 }
@@ -283,15 +292,15 @@ impl GatherArguments {
     fn gather(&self) -> Result<ExitCode, LabError> {
         let asked = Asked::read(&self.study, &self.out, self.kept.as_deref())?;
         let folder = asked.places.study(&asked.name);
-        write_report(&asked, self.to.as_ref().unwrap_or(&folder))?;
+        let plan = Plan::read(&asked.places.plan(&asked.name))?;
+        write_report(&asked, &plan, self.to.as_ref().unwrap_or(&folder))?;
         Ok(ExitCode::SUCCESS)
     }
 }
 
 /// Writes `STUDY.md`, `STUDY.json` and `STUDY.svg`.
-fn write_report(asked: &Asked, to: &Path) -> Result<(), LabError> {
+fn write_report(asked: &Asked, plan: &Plan, to: &Path) -> Result<(), LabError> {
     let name = &asked.name;
-    let plan = Plan::read(&asked.places.plan(name))?;
     let kept = asked.kept.as_ref();
     let report = gather(asked.parts(), &plan.program, &asked.places, kept)?;
     std::fs::create_dir_all(to).map_err(LabError::file(to))?;

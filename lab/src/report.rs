@@ -60,7 +60,7 @@ pub struct Origin {
     pub commit: Option<String>,
     /// Whether files differed from that commit.
     pub changed: bool,
-    /// Hash of its bytes, where files differed.
+    /// Hash of its bytes, where files differed or the commit is not known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fingerprint: Option<String>,
     /// The first and the last day on which a run began.
@@ -85,6 +85,7 @@ impl Origin {
             (Some(commit), _) if !names_commit => {
                 format!("{version}, commit `{commit}`")
             }
+            (None, Some(bytes)) => format!("{version}, program `{bytes}`"),
             _ => version.clone(),
         }
     }
@@ -157,4 +158,29 @@ pub struct Cell {
     pub gain: Option<Summary>,
     /// Share of the way from the baseline to the bound.
     pub closed: Option<Summary>,
+    /// Of how many scenes gain and share are means, where they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub over: Option<[usize; 2]>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_program_of_no_known_commit_is_its_bytes() {
+        let program = |commit: Option<&str>, bytes: &str| {
+            Origin {
+                version: "limpid 0 (commit abc)".to_owned(),
+                commit: commit.map(str::to_owned),
+                changed: false,
+                fingerprint: Some(bytes.to_owned()),
+                dates: None,
+                machines: Vec::new(),
+            }
+            .program()
+        };
+        assert_ne!(program(None, "1"), program(None, "2"));
+        assert_eq!(program(Some("abc"), "1"), program(Some("abc"), "2"));
+    }
 }

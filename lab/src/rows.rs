@@ -46,6 +46,7 @@ pub(crate) fn rows(study: &Study, arms: &[Arm], all: &ByArm<'_>) -> Vec<Row> {
             gain: gain(kind, &here, &there),
             closed: is_way.then(|| closed(&here, &from, &to, least)).flatten(),
             values: here,
+            over: None,
         }
     };
     arms.iter()
@@ -138,13 +139,18 @@ pub(crate) fn overall(arms: &[Arm], scenes: &[SceneTable], scores: usize) -> Vec
         let cell = |score: usize| {
             let over = |of: fn(&Cell) -> Option<Summary>| {
                 let parts = found.iter().filter_map(|row| of(&row.cells[score]));
-                Summary::over(&parts.collect::<Vec<_>>())
+                let parts: Vec<Summary> = parts.collect();
+                (Summary::over(&parts), parts.len())
             };
+            let (mean, _) = over(|cell| cell.mean);
+            let [(gain, gained), (closed, shared)] =
+                [over(|cell| cell.gain), over(|cell| cell.closed)];
             Cell {
                 values: BTreeMap::new(),
-                mean: over(|cell| cell.mean),
-                gain: over(|cell| cell.gain),
-                closed: over(|cell| cell.closed),
+                mean,
+                gain,
+                closed,
+                over: Some([gained, shared]),
             }
         };
         let cells = (0..scores).map(cell).collect();

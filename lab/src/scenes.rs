@@ -298,6 +298,29 @@ mod tests {
         }
         let untouched = fs::read(scene.join(DEPTH).join("0.npy")).expect("there");
         assert!(untouched.len() > 8, "the scene's own is as it was");
+
+        // A scene whose files are others by now is another scene.
+        let again = || {
+            let perturb = Perturb::default();
+            let copy = scenes.find("s", 1, &[Truth::Depth], &perturb);
+            array(&copy.expect("links").join(DEPTH).join("0.npy"))
+        };
+        let before = fs::metadata(copy.join(DEPTH)).expect("there").modified();
+        again();
+        let after = fs::metadata(copy.join(DEPTH)).expect("there").modified();
+        assert_eq!(
+            before.expect("a time"),
+            after.expect("a time"),
+            "not made anew"
+        );
+        let nearer = [2.0, 0.5, 0.0, 8.0, 1.0, 1.0].map(f16::from_f32);
+        fs::remove_file(scene.join(TRUE_DEPTH).join("0.npy")).expect("removed");
+        write(&format!("{TRUE_DEPTH}/0.npy"), &nearer[..4]);
+        assert_eq!(again(), [0.5, 2.0, 0.0, 0.125]);
+        fs::rename(&scene, folder.path().join("scenes/t")).expect("renamed");
+        let copy = scenes.find("t", 1, &[Truth::Depth], &Perturb::default());
+        let picture = copy.expect("links").join("images/0.png");
+        assert_eq!(fs::read_to_string(picture).expect("a link"), "picture");
     }
 
     #[test]

@@ -41,7 +41,7 @@ enum From {
     Measured(fn(&Measured) -> Option<f64>),
 }
 
-/// What the laboratory measured of a run, all attempts together.
+/// What the laboratory measured of a run, all attempts together since it last began from nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measured {
     /// Processor time, s.

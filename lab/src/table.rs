@@ -36,12 +36,14 @@ fn write_all(out: &mut String, report: &Report, plot: Option<&str>) -> std::fmt:
         writeln!(out, "## Over all scenes\n")?;
         writeln!(
             out,
-            "What is gained on each scene, averaged; the error is that of the seeds, and says nothing of other scenes.\n"
+            "What is gained on each scene, averaged; the error is that of the seeds, and says nothing of other scenes. Behind a figure \
+             that not all scenes of its row have stands of how many it is.\n"
         )?;
         head(out, "scenes", &report.scores)?;
         for row in report.overall.iter().filter(|row| row.against.is_some()) {
             let cells = row.cells.iter().zip(&report.scores);
-            let cells = cells.map(|(cell, score)| gain(cell, score).unwrap_or_else(none));
+            let cells =
+                cells.map(|(cell, score)| gain(cell, score, Some(row.scenes)).unwrap_or_else(none));
             write_row(out, row, row.scenes, report, cells)?;
         }
         writeln!(out)?;
@@ -124,6 +126,10 @@ fn legend(report: &Report) -> String {
         )
     };
     text.push_str(", **bold** beyond two standard errors");
+    if let Some(chance) = by_chance(seeds.len()) {
+        write!(text, " (of gains that are nothing {chance} % would be)")
+            .expect("a string takes text");
+    }
     if let Some(bound) = &report.bound {
         write!(text, ", and the share of the way to `{bound}`").expect("a string takes text");
     }
@@ -133,6 +139,13 @@ fn legend(report: &Report) -> String {
     }
     text.push('.');
     text
+}
+
+/// How many per cent of gains that are nothing, with normal noise, lie beyond two standard errors of so many seeds, which are
+/// themselves estimated: the tails of Student's t beyond 2.
+fn by_chance(seeds: usize) -> Option<usize> {
+    let few = [30, 18, 14, 12, 10];
+    few.get(seeds.checked_sub(2)?).copied()
 }
 
 /// Behind a row whose gains may be between two programs.
@@ -176,13 +189,14 @@ fn text(cell: &Cell, score: &Score) -> String {
         return none();
     };
     let value = number(mean, score.digits(), |v, digits| format!("{v:.digits$}"));
-    match gain(cell, score) {
+    match gain(cell, score, None) {
         Some(gain) => format!("{value} ({gain})"),
         None => value,
     }
 }
 
-fn gain(cell: &Cell, score: &Score) -> Option<String> {
+/// What is gained, and the share of the way to the bound; in a row over so many scenes.
+fn gain(cell: &Cell, score: &Score, scenes: Option<usize>) -> Option<String> {
     let gain = cell.gain?;
     let (text, is_clear) = match score.kind() {
         Kind::Quality | Kind::Finding => {
@@ -203,8 +217,14 @@ fn gain(cell: &Cell, score: &Score) -> Option<String> {
     } else {
         text
     };
+    let of = |figure: usize| {
+        let count = cell.over.map(|over| over[figure]);
+        let fewer = count.filter(|count| scenes.is_some_and(|all| *count < all));
+        fewer.map_or_else(String::new, |count| format!(" (of {count})"))
+    };
+    let text = text + &of(0);
     Some(match &cell.closed {
-        Some(closed) => format!("{text}; {:.0} %", 100.0 * closed.mean),
+        Some(closed) => format!("{text}; {:.0} %{}", 100.0 * closed.mean, of(1)),
         None => text,
     })
 }
@@ -259,6 +279,14 @@ mod tests {
             "101.0 ± 1.0 (**×2.05 ± 0.05**)"
         );
         assert_eq!(text(&Cell::default(), &score("all")), "–");
+        let over = Cell {
+            over: Some([7, 4]),
+            ..cell
+        };
+        assert_eq!(
+            gain(&over, &score("all"), Some(7)).as_deref(),
+            Some("**+5.25 ± 0.25**; 82 % (of 4)")
+        );
         assert_eq!(
             text(
                 &Cell {
