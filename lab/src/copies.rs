@@ -1,8 +1,8 @@
 //! A copy of a scene in which one thing is another: a folder of links but for that.
 
 use crate::error::LabError;
+use crate::files::write_whole;
 use crate::hash::{hashed, hex};
-use crate::plan::write_whole;
 use glam::DVec2;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};

@@ -2,8 +2,9 @@
 
 use crate::children::Children;
 use crate::error::LabError;
+use crate::files::write_json;
 use crate::machine::Machine;
-use crate::plan::{PlannedRun, Program, write_json};
+use crate::plan::{PlannedRun, Program};
 use crate::score::Measured;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, TryLockError};

@@ -96,6 +96,12 @@ pub fn gather(
     }
     origin.dates = days.first().cloned().zip(days.last().cloned());
     origin.machines = machines.into_iter().collect();
+    if origin.dates.is_none()
+        && let Some(last) = earlier.pop()
+    {
+        // None of them is of the program that would run now.
+        origin = last;
+    }
     let arms = arms(study, path)?;
     let table = |scene: &String| SceneTable {
         scene: scene.clone(),
@@ -462,6 +468,9 @@ except = ["b"]
         rows.for_each(|row| row.programs.clear());
         let fourth = of(&one_seed, "fourth", Some(&keep(&unsaid)));
         assert_eq!(fourth.finished, 5);
-        assert_eq!(fourth.earlier, [first.origin, both.origin]);
+        assert_eq!(
+            (fourth.origin, fourth.earlier),
+            (both.origin, vec![first.origin])
+        );
     }
 }

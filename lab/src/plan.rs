@@ -2,6 +2,7 @@
 
 use crate::error::LabError;
 use crate::expand::{Case, Run, cases};
+use crate::files::{json, write_json, write_whole};
 use crate::hash::{hex, name_of};
 use crate::scenes::Scenes;
 use crate::study::Study;
@@ -314,29 +315,6 @@ impl Plan {
         let text = fs::read(path).map_err(LabError::file(path))?;
         serde_json::from_slice(&text).map_err(|e| LabError::content(path, e))
     }
-}
-
-/// Writes JSON, whole or not at all.
-///
-/// # Errors
-/// It cannot be written.
-pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), LabError> {
-    write_whole(path, &json(path, value)?)
-}
-
-fn json(path: &Path, value: &impl Serialize) -> Result<String, LabError> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| LabError::content(path, e))?;
-    Ok(text + "\n")
-}
-
-/// Writes a file under another name first: a reader finds all of it or nothing, and what was there stays until then.
-///
-/// # Errors
-/// It cannot be written.
-pub fn write_whole(path: &Path, text: &str) -> Result<(), LabError> {
-    let half = path.with_extension(format!("{}.tmp", std::process::id()));
-    fs::write(&half, text).map_err(LabError::file(&half))?;
-    fs::rename(&half, path).map_err(LabError::file(path))
 }
 
 #[cfg(all(test, unix))]

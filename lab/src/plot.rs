@@ -1,7 +1,7 @@
 //! A report as a picture.
 
 use crate::error::LabError;
-use crate::plan::write_whole;
+use crate::files::write_whole;
 use crate::report::{Report, Row, SceneTable};
 use crate::score::Score;
 use crate::statistics::{Summary, pareto_front};
