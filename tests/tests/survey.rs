@@ -3,8 +3,8 @@
 
 use limpid_tests::bodies::{Bodies, scene};
 use limpid_tests::{devices_for_long_trainings, values};
-use trainer::settings::BlurKind;
-use trainer::{Settings, Trainer};
+use trainer::settings::{BlurKind, When};
+use trainer::{BlurModel, Settings, Trainer};
 
 /// A trainer of the scene as the survey has it, with as few bases as foretell the tracks.
 fn surveyed(bodies: Bodies, shake: f64, device: &burn::tensor::Device) -> Trainer {
@@ -59,6 +59,26 @@ fn what_masks_show_and_tracks_follow_stands_still() {
                 (0, 0),
                 "{name}"
             );
+        }
+    }
+}
+
+#[test]
+fn a_part_of_the_camera_that_is_asked_for_is_there_for_sharp_frames_too() {
+    for (name, device) in devices_for_long_trainings() {
+        let scene = scene(Bodies::Still, 0.0, &device);
+        for (path, lens) in [
+            (When::Auto, When::Auto),
+            (When::Always, When::Auto),
+            (When::Auto, When::Always),
+        ] {
+            let mut settings = Settings::default();
+            settings.camera.path = path;
+            settings.camera.lens = lens;
+            let trainer = Trainer::new(scene.clone(), settings, &device).expect("a trainer");
+            let is_there = matches!(trainer.model().blur, BlurModel::Camera(_));
+            let asked = [path, lens].contains(&When::Always);
+            assert_eq!(is_there, asked, "{name}: paths {path:?}, lens {lens:?}");
         }
     }
 }

@@ -81,8 +81,9 @@ pub(crate) fn shared<'a>(
     let seen = seen_in(&a.view.camera, known, &b.view.camera, b_from_a, step);
     Some(seen.filter_map(move |seen| {
         let there = pixel_index(&b.view.camera, seen.at);
-        let is_hidden = (f64::from(other.values[there]) / seen.depth - 1.0).abs() > HIDDEN;
-        (!is_hidden && is_still(b, there)).then(|| Shared {
+        // Not so either where one of the depths is no number, or without end.
+        let is_there = (f64::from(other.values[there]) / seen.depth - 1.0).abs() <= HIDDEN;
+        (is_there && is_still(b, there)).then(|| Shared {
             pixels: [seen.pixel, there],
             depths: [f64::from(depth.values[seen.pixel]), seen.depth],
         })
