@@ -3,7 +3,7 @@
 
 use crate::correspondence::{Shared, is_still, shared};
 use crate::statistics::{median, quantile};
-use io::{Frame, Image, Map};
+use io::{Frame, Image};
 use rayon::prelude::*;
 use splat_core::Camera;
 
@@ -113,9 +113,7 @@ fn fineness(frame: &Frame, pixel: usize) -> Option<f64> {
 fn whole_change(frames: &[Frame]) -> Option<f64> {
     let contrasts: Vec<[Option<f64>; 2]> = frames
         .iter()
-        .map(|frame| {
-            [true, false].map(|rows| contrast(&frame.view.image, frame.mask.as_ref(), rows))
-        })
+        .map(|frame| [true, false].map(|rows| contrast(frame, rows)))
         .collect();
     let pairs = contrasts.windows(2).flat_map(|pair| {
         let axes = pair[0].iter().zip(&pair[1]);
@@ -126,17 +124,16 @@ fn whole_change(frames: &[Frame]) -> Option<f64> {
 }
 
 /// Logarithm of the mean squared second difference along rows or columns.
-fn contrast(image: &Image, mask: Option<&Map>, rows: bool) -> Option<f64> {
-    let (width, height) = (image.width, image.height);
+fn contrast(frame: &Frame, rows: bool) -> Option<f64> {
+    let Image { width, height, .. } = frame.view.image;
     let step = if rows { 1 } else { width };
-    let still = |i: usize| mask.is_none_or(|mask| mask.values[i] < 0.5);
     let (mut sum, mut count) = (0.0, 0);
     let [across, down] = if rows { [1, 0] } else { [0, 1] };
     for y in down..height.saturating_sub(down) {
         for x in across..width.saturating_sub(across) {
             let i = y * width + x;
-            if [i - step, i, i + step].into_iter().all(still) {
-                sum += second_difference(image, i, step).powi(2);
+            if [i - step, i, i + step].iter().all(|k| is_still(frame, *k)) {
+                sum += second_difference(&frame.view.image, i, step).powi(2);
                 count += 1;
             }
         }
@@ -157,7 +154,7 @@ fn second_difference(image: &Image, pixel: usize, step: usize) -> f64 {
 mod tests {
     use super::*;
     use glam::{DAffine3, DVec2, DVec3};
-    use io::View;
+    use io::{Map, View};
 
     const SIZE: [usize; 2] = [96, 64];
 
@@ -249,7 +246,7 @@ mod tests {
             let change = SharpnessChange::of(&frames);
             assert!(!change.is_blurred(), "{step}: {change:?}");
             let bare = frames.first().zip(frames.last()).and_then(|(a, b)| {
-                let [a, b] = [a, b].map(|f| contrast(&f.view.image, None, true));
+                let [a, b] = [a, b].map(|f| contrast(f, true));
                 Some((a? - b?).abs())
             });
             assert!(bare.is_some_and(|bare| bare > SHARP), "{step}: {bare:?}");
