@@ -1,12 +1,19 @@
 //! Which places of two frames show the same, by depth and pose.
 
+use crate::statistics::quantile;
 use crate::views::{pixel_center, pixel_index, seen_at};
 use glam::{DAffine3, DVec2};
 use io::Frame;
+use rayon::prelude::*;
 use splat_core::Camera;
 
 /// What lies elsewhere in depth by more than this share is hidden.
 const HIDDEN: f64 = 0.05;
+/// What changes once, or for some frames of a video, does so between a few of its pairs: it shows in the change that so many of them
+/// do not exceed.
+const MOST: f64 = 0.9;
+/// Fewer pairs of frames say nothing.
+const LEAST_PAIRS: usize = 3;
 
 /// A pixel of one frame, seen in another.
 #[derive(Clone, Copy, Debug)]
@@ -88,6 +95,36 @@ pub(crate) fn shared<'a>(
             depths: [f64::from(depth.values[seen.pixel]), seen.depth],
         })
     }))
+}
+
+/// What pairs of frames change by, at most.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PairChanges {
+    /// Half of them.
+    pub(crate) half: f64,
+    /// Nine in ten of them.
+    pub(crate) most: f64,
+}
+
+/// What pairs of frames change by: neighbours, or frames a quarter of the video apart, whichever change more. `None` where `change`
+/// tells it of less than three pairs of either.
+pub(crate) fn pair_changes(
+    frames: &[Frame],
+    change: impl Fn(&Frame, &Frame) -> Option<f64> + Sync,
+) -> Option<PairChanges> {
+    let of_apart = [1, (frames.len() / 4).max(1)].map(|apart| {
+        let pairs = frames.par_iter().zip(frames.par_iter().skip(apart));
+        let mut changes: Vec<f64> = pairs.filter_map(|(a, b)| change(a, b)).collect();
+        (changes.len() >= LEAST_PAIRS).then(|| PairChanges {
+            half: quantile(&mut changes, 0.5),
+            most: quantile(&mut changes, MOST),
+        })
+    });
+    let of_apart = of_apart.into_iter().flatten();
+    of_apart.reduce(|a, b| PairChanges {
+        half: a.half.max(b.half),
+        most: a.most.max(b.most),
+    })
 }
 
 /// Whether a pixel shows nothing that is masked.

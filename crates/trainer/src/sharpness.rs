@@ -1,17 +1,14 @@
 //! How much the frames of a video differ in sharpness. A blur that never changes cannot be told from a blurry world; one that
 //! changes shows in the frames before anything is trained.
 
-use crate::correspondence::{Shared, is_still, shared};
-use crate::statistics::{median, quantile};
+use crate::correspondence::{Shared, is_still, pair_changes, shared};
+use crate::statistics::median;
 use io::{Frame, Image};
-use rayon::prelude::*;
 use splat_core::Camera;
 
 /// Of the pairs of frames of a sharp video nine in ten differ in the fine contrast of what both see by less than this (the
 /// logarithm's change). Measured in docs/SURVEY.md.
 const SHARP: f64 = 0.15;
-/// That share of them.
-const PAIRS: f64 = 0.9;
 /// Neighbouring frames of a sharp video see nearly the same, and the contrast of all that they see differs by less than this
 /// (median of the logarithm's change).
 const SHARP_AS_A_WHOLE: f64 = 0.07;
@@ -30,9 +27,8 @@ const ROUNDING: f64 = 6.0 / 12.0 / (255.0 * 255.0);
 /// How frames differ in sharpness, as factors' logarithms.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SharpnessChange {
-    /// How much more than nine in ten pairs of frames differ in the fine contrast of what both see, as far as its distance does not
-    /// explain that: pairs of neighbours, or of frames a quarter of the video apart, whichever differ more. `None` where too little
-    /// is known in depth.
+    /// How much nine in ten pairs of frames differ at most in the fine contrast of what both see, as far as its distance does not
+    /// explain that. `None` where too little is known in depth.
     pub(crate) shared: Option<f64>,
     /// Median change of the fine contrast of all that is seen from a frame to the next. `None` with less than three frames or
     /// where movers fill them.
@@ -42,14 +38,8 @@ pub(crate) struct SharpnessChange {
 impl SharpnessChange {
     /// Of a video's frames, outside of the movers.
     pub(crate) fn of(frames: &[Frame]) -> Self {
-        let change = |apart: usize| {
-            let pairs = frames.par_iter().zip(frames.par_iter().skip(apart));
-            let changes: Vec<f64> = pairs.filter_map(|(a, b)| shared_change(a, b)).collect();
-            (changes.len() >= 3).then(|| quantile(&changes, PAIRS))
-        };
-        let apart = [1, (frames.len() / 4).max(1)];
         Self {
-            shared: apart.into_iter().filter_map(change).max_by(f64::total_cmp),
+            shared: pair_changes(frames, shared_change).map(|changes| changes.most),
             whole: whole_change(frames),
         }
     }

@@ -1,10 +1,11 @@
 //! Looks at a scene before training: its size, its depth against the sparse points, and what there is to model.
 
 use crate::alignment::fit_to_points;
-use crate::brightness::{brightness_change, gains_differ};
+use crate::brightness::{brightness_changes, gains_differ};
 use crate::error::{SceneProblem, TrainError};
 use crate::settings::{BlurKind, Settings, When};
 use crate::sharpness::SharpnessChange;
+use crate::statistics::quantile_by;
 use crate::track_motion::{TrackMotion, track_motion};
 use crate::views::pixel_of;
 use io::Scene;
@@ -37,8 +38,12 @@ pub struct Survey {
     pub sharpness_change: Option<f64>,
     /// Frames differ more in sharpness than those of a sharp video do, or it cannot be told.
     pub blurred: bool,
-    /// Median change of what frames have in common in brightness, as a factor's logarithm; `None` where that cannot be told.
+    /// How much more than half of the pairs of frames differ in the brightness of what both see, as a factor's logarithm; `None` where
+    /// that cannot be told.
     pub brightness_change: Option<f64>,
+    /// The same of nine in ten pairs.
+    #[serde(default)]
+    pub most_brightness_change: Option<f64>,
     /// Frames differ more in brightness than those of a fixed exposure do.
     pub gains_differ: bool,
     /// What was decided and why, for people.
@@ -74,11 +79,19 @@ fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
         ),
         (None, Some(change)) => {
             format!(
-                "fine contrast changes by {} from frame to frame",
-                percent(change)
+                "fine contrast changes by {} from frame to frame{}",
+                percent(change),
+                if survey.blurred {
+                    ""
+                } else {
+                    " (without depth a blur that only some frames have is not told)"
+                }
             )
         }
-        (None, None) => "too few frames to tell whether they are blurred".to_owned(),
+        (None, None) => {
+            "too few frames, or too little that stands still, to tell whether they are blurred"
+                .to_owned()
+        }
     };
     let decision = if survey.blurred {
         "blur is modelled (`blur.model = \"off\"` has no blur model)"
@@ -93,18 +106,26 @@ fn blur_note(settings: &Settings, survey: &Survey) -> Option<String> {
 
 /// Why frames have gains of their own, where that is left to the survey.
 fn gains_note(settings: &Settings, survey: &Survey) -> Option<String> {
-    let percent = 100.0 * survey.brightness_change?.exp_m1();
+    let percent = |change: f64| 100.0 * change.exp_m1();
+    let half = percent(survey.brightness_change?);
+    // Not known of runs that were surveyed before it was asked.
+    let most = survey.most_brightness_change.map(percent);
+    let most = most.map_or_else(String::new, |most| {
+        format!(" in half of the pairs and {most:.1} % in a tenth of them")
+    });
+    let (decision, otherwise) = if survey.gains_differ {
+        (
+            ": each has a gain of its own",
+            "`frames.gains = \"never\"` has none",
+        )
+    } else {
+        (
+            ", as at a fixed exposure: no gains",
+            "`frames.gains = \"always\"` has them all the same",
+        )
+    };
     (settings.frames.gains == When::Auto).then(|| {
-        if survey.gains_differ {
-            format!(
-                "frames differ in brightness by {percent:.0} %: each has a gain of its own (`frames.gains = \"never\"` has none)"
-            )
-        } else {
-            format!(
-                "frames differ in brightness by {percent:.1} %, as at a fixed exposure: no gains (`frames.gains = \"always\"` has \
-                 them all the same)"
-            )
-        }
+        format!("what two frames share differs in brightness by {half:.1} %{most}{decision} ({otherwise})")
     })
 }
 
@@ -199,7 +220,7 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
         return Err(SceneProblem::NoDepth.into());
     }
     let [scene_size, near, far] =
-        [0.5, 0.05, 0.95].map(|share| f64::from(quantile(&mut depths, share)));
+        [0.5, 0.05, 0.95].map(|share| f64::from(quantile_by(&mut depths, share, f32::total_cmp)));
     let tracked = scene
         .tracks
         .as_ref()
@@ -217,7 +238,7 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
     let given = [masked, tracked];
     notes.push(movers_note(given, track_motion.as_ref(), asked, movers));
     let sharpness = SharpnessChange::of(&scene.frames);
-    let brightness_change = brightness_change(&scene.frames);
+    let brightness = brightness_changes(&scene.frames);
     Ok(Survey {
         scene_size,
         depth_range: [near, far],
@@ -227,8 +248,9 @@ pub fn survey(scene: &mut Scene, asked: When) -> Result<Survey, TrainError> {
         shared_sharpness_change: sharpness.shared,
         sharpness_change: sharpness.whole,
         blurred: sharpness.is_blurred(),
-        brightness_change,
-        gains_differ: brightness_change.is_some_and(gains_differ),
+        brightness_change: brightness.map(|changes| changes.half),
+        most_brightness_change: brightness.map(|changes| changes.most),
+        gains_differ: brightness.is_some_and(gains_differ),
         notes,
     })
 }
@@ -283,13 +305,6 @@ fn align_depth(scene: &mut Scene) -> Vec<String> {
         ));
     }
     notes
-}
-
-/// The value above a share of all, of which there is at least one. Values are reordered.
-fn quantile(values: &mut [f32], share: f64) -> f32 {
-    let rank = (share * values.len() as f64) as usize;
-    let rank = rank.min(values.len() - 1);
-    *values.select_nth_unstable_by(rank, f32::total_cmp).1
 }
 
 fn sparse_depths(scene: &Scene) -> Vec<f32> {

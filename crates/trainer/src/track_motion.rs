@@ -281,8 +281,8 @@ fn away(seen: &[Seen<'_>], inverse_depth: f64) -> Option<Vec<DVec2>> {
 /// How far positions of a track are from where they would be, of which there is at least one.
 fn distance(away: &[DVec2]) -> f64 {
     let typical = |part: &[DVec2]| {
-        let lengths: Vec<f64> = part.iter().map(|v| v.length()).collect();
-        quantile(&lengths, POSITIONS)
+        let mut lengths: Vec<f64> = part.iter().map(|v| v.length()).collect();
+        quantile(&mut lengths, POSITIONS)
     };
     let parts = (away.len() / PART_SEEN).clamp(1, PARTS);
     let parts = away.chunks(away.len().div_ceil(parts));

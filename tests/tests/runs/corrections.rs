@@ -68,6 +68,22 @@ fn frames_of_one_exposure_have_no_gains() {
 }
 
 #[test]
+fn the_survey_sees_an_exposure_that_changes_once() {
+    for from in 1..FRAMES {
+        let mut scene = sharp();
+        for frame in &mut scene.frames[from..] {
+            for value in &mut frame.view.image.pixels {
+                *value *= 0.8;
+            }
+        }
+        let trainer = Trainer::new(scene, settings(200), &Device::flex()).expect("a trainer");
+        let survey = trainer.survey();
+        let changes = (survey.brightness_change, survey.most_brightness_change);
+        assert!(survey.gains_differ, "from frame {from} on: {changes:?}");
+    }
+}
+
+#[test]
 fn three_frames_do_not_tell_brightness() {
     let mut scene = sharp();
     scene.frames.truncate(3);
