@@ -7,7 +7,7 @@ use io::{Frame, Image, Map, Scene, View};
 use limpid_tests::{devices_for_long_trainings, noise, tensor, values, wall};
 use splat_core::{Camera, Exposure, Extra, Transfer, Viewpoint, expose, pose_rows, render};
 use trainer::settings::{BlurKind, DiscKind, When};
-use trainer::{BlurFigures, CameraFigures, Settings, Trainer};
+use trainer::{BlurFigures, CameraFigures, Run, Settings, Trainer};
 
 const FRAMES: usize = 6;
 const SIZE: f64 = 4.0;
@@ -215,7 +215,7 @@ fn what_the_first_trial_decides_is_said() {
             (
                 0.0,
                 [Never, Always],
-                ": defocus is modelled, and no motion blur",
+                ": defocus is modelled, and no motion of the camera",
                 [false, true],
             ),
         ] {
@@ -229,6 +229,11 @@ fn what_the_first_trial_decides_is_said() {
                 panic!("not one decision: {told}");
             };
             assert!(said.contains(decision), "{told}");
+            // A run that goes on, or is looked at later, still has it.
+            let folder = tempfile::tempdir().expect("a folder");
+            trainer.save(folder.path()).expect("saved");
+            let opened = Run::open(folder.path(), &device).expect("a run");
+            assert!(opened.decisions()[0].ends_with(said), "{told}");
             let stays = match trainer.evaluate().expect("scores").blur {
                 Some(BlurFigures::Camera(CameraFigures {
                     frames, aperture, ..

@@ -25,7 +25,7 @@ pub(crate) struct TrainArguments {
     #[arg(long, value_name = "M", value_parser = minutes, conflicts_with = "resume")]
     pub(crate) minutes: Option<f64>,
     /// Train in runs that double in length, from 750 iterations to the number given, until one gains hardly anything on pixels
-    /// that are held back (`frames.held_back`, 0.03 of each frame): takes 1.5 to 3.8 times as long as the one that it keeps.
+    /// that are held back (`frames.held_back`, 0.03 of each frame): takes up to four times as long as the one that it keeps.
     #[arg(long, conflicts_with_all = ["minutes", "resume"])]
     pub(crate) until_done: bool,
     /// Make pictures smaller by this factor.
@@ -71,7 +71,7 @@ pub(crate) struct TrainArguments {
     #[arg(long, conflicts_with = "resume")]
     pub(crate) unchecked: bool,
     /// Say as JSON with which settings it would be trained, and do no more.
-    #[arg(long, conflicts_with_all = ["resume", "minutes"])]
+    #[arg(long, conflicts_with_all = ["resume", "minutes", "until_done"])]
     pub(crate) dry_run: bool,
     /// Set any setting, for example `--set blur.kernel_size=7`.
     #[arg(long = "set", value_name = "key=value")]

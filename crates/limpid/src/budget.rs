@@ -35,7 +35,7 @@ pub(crate) fn fit(
 
     trainer.begin_again(&start, least)?;
     let course = trainer.course(least)?;
-    let far = course.blurred_from.unwrap_or(0) + WARM + TIMED;
+    let far = course.blur_trained_from.unwrap_or(0) + WARM + TIMED;
     let mut tried = Tried::of(trainer, far.min(least), &course)?;
     let left = |ending: f64| AIM * (total - began.elapsed().as_secs_f64()) - ending;
     let mut chosen = tried.longest(trainer, least, most, left(tried.ending))?;
@@ -55,16 +55,19 @@ pub(crate) fn fit(
     let needed = tried.seconds(chosen, &trainer.course(chosen)?) + tried.ending;
     let spent = began.elapsed().as_secs_f64();
     trainer.begin_again(&start, chosen)?;
-    let blurred = course.blurred_from.map_or_else(String::new, |_| {
-        format!(" ({:.3} s where blur is modelled)", tried.settled)
+    let blurred = course.blur_trained_from.map_or_else(String::new, |_| {
+        format!(" ({:.3} s where a model of blur is trained)", tried.settled)
     });
+    let fits = spent + needed <= total;
     let mut lines = vec![format!(
         "{chosen} iterations{}: at {:.3} s an iteration{blurred} on {} threads about {} with pictures and scores, \
          behind {} of reading and placing and {} of trying",
         if chosen < most {
             format!(" in the place of {most}")
-        } else {
+        } else if fits {
             " fit, as many as were asked for".to_owned()
+        } else {
+            String::new()
         },
         tried.sharp,
         rayon::current_num_threads(),
@@ -72,7 +75,7 @@ pub(crate) fn fit(
         duration(up),
         duration(spent - up),
     )];
-    if spent + needed > total {
+    if !fits {
         lines.push(format!(
             "warning: that is more than {}, but no run is shorter than {least} iterations; a larger --downscale makes each faster",
             duration(total)
@@ -122,7 +125,7 @@ fn timed(trainer: &mut Trainer, iterations: usize) -> Result<Vec<f64>, Failure> 
 /// Seconds that parts of a run take, as tried.
 #[derive(Clone, Copy, Debug)]
 struct Tried {
-    /// An iteration before blur is modelled.
+    /// An iteration before a model of blur is trained.
     sharp: f64,
     /// One behind that, before the first trial.
     blurred: f64,
@@ -153,7 +156,7 @@ impl Tried {
     /// By the seconds of the first iterations of such a run; those of parts that these do not reach are foretold.
     fn by(seconds: &[f64], course: &Course, frames: usize) -> Self {
         let done = seconds.len();
-        let from = course.blurred_from.unwrap_or(done).min(done);
+        let from = course.blur_trained_from.unwrap_or(done).min(done);
         let trial = course.trials.first().copied().filter(|t| t + 1 < done);
         let mean = |from: usize, until: usize| {
             let from = (from + WARM).min(until.saturating_sub(1));
@@ -162,7 +165,7 @@ impl Tried {
         };
         let blurred = mean(from, trial.unwrap_or(done)).filter(|_| from < done);
         let sharp = mean(0, from).or(blurred).unwrap_or(0.0);
-        let blurred = blurred.unwrap_or(sharp * course.blurred_pace);
+        let blurred = blurred.unwrap_or(sharp * course.blur_pace);
         let settled = trial.and_then(|t| mean(t + 1, done)).unwrap_or(blurred);
         let trial = trial.map(|t| (seconds[t] - settled).max(0.0));
         Self {
@@ -176,7 +179,10 @@ impl Tried {
 
     /// Of so many iterations of a run with such a course.
     fn seconds(&self, iterations: usize, course: &Course) -> f64 {
-        let from = course.blurred_from.unwrap_or(iterations).min(iterations);
+        let from = course
+            .blur_trained_from
+            .unwrap_or(iterations)
+            .min(iterations);
         let trial = course.trials.first().copied().unwrap_or(iterations);
         let trial = trial.clamp(from, iterations);
         let trials = course.trials.iter().filter(|t| **t < iterations).count();
@@ -231,17 +237,23 @@ pub(crate) struct Forecast {
     /// When the first iterations of the part were over.
     warm: Option<Instant>,
     /// What the last trial took, seconds.
-    trial: f64,
+    trial: Option<f64>,
     /// Trials among the iterations that count of the part, and what they took, seconds.
     among: (usize, f64),
     iterations: usize,
     /// What else there is to say behind the first part.
     memory: String,
+    /// What there is to say of these times, with the first of them.
+    remark: String,
 }
 
 impl Forecast {
-    /// Of a run as it is now, and its memory where it trains on the CPU.
-    pub(crate) fn new(trainer: &Trainer, memory: Option<u64>) -> Result<Self, Failure> {
+    /// Of a run as it is now, and its memory where it trains on the CPU; with a remark on the times that it foretells.
+    pub(crate) fn new(
+        trainer: &Trainer,
+        memory: Option<u64>,
+        remark: String,
+    ) -> Result<Self, Failure> {
         let iterations = trainer.settings().iterations;
         let frames = memory.map(|_| trainer.run().views().train.len());
         let limit = if trainer.limits_gaussians() {
@@ -255,21 +267,23 @@ impl Forecast {
         // A run that was made longer keeps the moments of the one that was started.
         let course = trainer.course(trainer.schedule().iterations)?;
         let (done, length) = (trainer.iteration(), (iterations, frames));
-        Ok(Self::of(done, length, course, memory))
+        Ok(Self {
+            memory,
+            remark,
+            ..Self::of(done, length, course)
+        })
     }
 
     /// Of a run of so many iterations, of so many frames, that begins, or goes on, behind `done`.
-    fn of(
-        done: usize,
-        (iterations, frames): (usize, Option<usize>),
-        course: Course,
-        memory: String,
-    ) -> Self {
+    fn of(done: usize, (iterations, frames): (usize, Option<usize>), course: Course) -> Self {
         let mut parts = vec![done];
         let first_trial = course.trials.first().map(|trial| trial + 1);
-        for part in course.blurred_from.into_iter().chain(first_trial) {
+        for part in course.blur_trained_from.into_iter().chain(first_trial) {
             if parts.last().is_some_and(|last| part > last + WARM + TIMED) {
                 parts.push(part);
+            } else if parts.len() == 1 && part > done {
+                // Too little is left of the part that a run goes on in: what it takes says nothing.
+                parts[0] = part;
             }
         }
         parts.reverse();
@@ -279,14 +293,15 @@ impl Forecast {
             frames,
             before: None,
             warm: None,
-            trial: 0.0,
+            trial: None,
             among: (0, 0.0),
             iterations,
-            memory,
+            memory: String::new(),
+            remark: String::new(),
         }
     }
 
-    /// Seconds of what is left behind an iteration before blur is modelled, by what those before it took; `None` off the CPU.
+    /// Seconds of what is left behind an iteration before a model of blur is trained, by what those before it took; `None` off the CPU.
     fn foretold(&self, pace: f64, iteration: usize) -> Option<f64> {
         let all = Tried::by(&[pace], &self.course, self.frames?);
         Some(all.seconds(self.iterations, &self.course) - pace * iteration as f64)
@@ -297,8 +312,9 @@ impl Forecast {
         let before = self.before.replace(now);
         let trials = &self.course.trials;
         if trials.contains(&(iteration - 1)) {
-            self.trial = before.map_or(0.0, |before| (now - before).as_secs_f64());
-            self.among = (self.among.0 + 1, self.among.1 + self.trial);
+            let took = before.map_or(0.0, |before| (now - before).as_secs_f64());
+            self.trial = before.and(Some(took));
+            self.among = (self.among.0 + 1, self.among.1 + took);
         }
         let part = *self.parts.last()?;
         if iteration == part + WARM {
@@ -314,32 +330,31 @@ impl Forecast {
             ((now - self.warm?).as_secs_f64() - took) / TIMED.saturating_sub(trials_among) as f64;
         let ahead = trials.iter().filter(|trial| **trial >= iteration);
         let iterating = pace * self.iterations.saturating_sub(iteration) as f64;
-        let left = duration(iterating + self.trial * ahead.count() as f64);
+        let supposed = self.frames.map(|n| TRIAL_LOOKS * n as f64 * pace);
+        let trial = self.trial.or(supposed).unwrap_or(0.0);
+        let left = duration(iterating + trial * ahead.count() as f64);
         let threads = rayon::current_num_threads();
         let memory = std::mem::take(&mut self.memory);
+        let remark = std::mem::take(&mut self.remark);
         let paced = format!("on {threads} threads, at {pace:.3} s an iteration");
         Some(match self.parts.last() {
             Some(next) if !trials.contains(&(next - 1)) => {
                 let from = next + 1;
                 match self.foretold(pace, iteration) {
                     Some(all) => format!(
-                        "expects about {} {paced} and about {:.1} times that once blur is modelled (from iteration {from} on){memory}",
+                        "expects about {} {paced} and about {:.1} times that once a model of blur is trained (from iteration {from} on){memory}{remark}",
                         duration(all),
-                        self.course.blurred_pace,
+                        self.course.blur_pace,
                     ),
                     None => format!(
-                        "expects at least {left} {paced}, more once blur is modelled (from iteration {from} on){memory}"
+                        "expects at least {left} {paced}, more once a model of blur is trained (from iteration {from} on){memory}{remark}"
                     ),
                 }
             }
             Some(next) => format!(
-                "expects about {left} more {paced}, until a trial finds what blurs these frames (iteration {next}){memory}"
+                "expects about {left} more {paced}, until a trial finds what blurs these frames (iteration {next}){memory}{remark}"
             ),
-            None => {
-                format!(
-                    "expects about {left} more {paced}{memory}; --minutes M makes a run of M minutes"
-                )
-            }
+            None => format!("expects about {left} more {paced}{memory}{remark}"),
         })
     }
 }
@@ -352,8 +367,8 @@ mod tests {
     fn course(n: usize) -> Course {
         let from = 250.min(n / 4);
         Course {
-            blurred_from: Some(from),
-            blurred_pace: 3.0,
+            blur_trained_from: Some(from),
+            blur_pace: 3.0,
             trials: vec![from + 80, from + 160],
         }
     }
@@ -361,7 +376,7 @@ mod tests {
     /// Of a machine with these seconds an iteration, which warms up at the beginning of each part.
     fn paced(iterations: usize, course: &Course) -> Vec<f64> {
         let second = |it: usize| {
-            let from = course.blurred_from.unwrap_or(usize::MAX);
+            let from = course.blur_trained_from.unwrap_or(usize::MAX);
             let trial = course.trials.first().copied().unwrap_or(usize::MAX);
             let base = match it {
                 i if i < from => 0.02,
@@ -388,8 +403,8 @@ mod tests {
         assert!((tried.settled - 0.08).abs() < 1e-9, "{tried:?}");
         assert!(tried.trial > 1.0, "{tried:?}");
         let never = Course {
-            blurred_from: None,
-            blurred_pace: 1.0,
+            blur_trained_from: None,
+            blur_pace: 1.0,
             trials: Vec::new(),
         };
         let tried = Tried::by(&paced(25, &never), &never, 16);
@@ -411,7 +426,7 @@ mod tests {
     #[test]
     fn a_run_tells_what_it_will_take_once_a_part() {
         let start = Instant::now();
-        let mut forecast = Forecast::of(0, (1000, None), course(1000), String::new());
+        let mut forecast = Forecast::of(0, (1000, None), course(1000));
         let mut now = start;
         let mut said = Vec::new();
         for it in 1..=1000 {
@@ -440,25 +455,26 @@ mod tests {
             "{said:?}"
         );
         // The same where a law says what blur will cost: 225 iterations, 750 with blur and two trials of 16 frames.
-        let mut forecast = Forecast::of(0, (1000, Some(16)), course(1000), String::new());
+        let mut forecast = Forecast::of(0, (1000, Some(16)), course(1000));
         let mut now = start;
         let mut first = (1..=25).filter_map(|it| {
             now += Duration::from_millis(20);
             forecast.after(it, now)
         });
         let first = first.next().expect("a line");
-        let law = "at 0.020 s an iteration and about 3.0 times that once blur is modelled";
+        let law =
+            "at 0.020 s an iteration and about 3.0 times that once a model of blur is trained";
         assert!(
             first.contains("expects about 57 s") && first.contains(law),
             "{first}"
         );
         // A trial among the iterations that count is no part of their pace.
         let soon = Course {
-            blurred_from: Some(100),
-            blurred_pace: 3.0,
+            blur_trained_from: Some(100),
+            blur_pace: 3.0,
             trials: vec![116],
         };
-        let mut forecast = Forecast::of(0, (400, None), soon, String::new());
+        let mut forecast = Forecast::of(0, (400, None), soon);
         let mut now = start;
         let last = (1..=400).filter_map(|it| {
             now += Duration::from_millis(match it {
@@ -471,7 +487,10 @@ mod tests {
         let last = last.last().expect("a line");
         assert!(last.contains("about 22 s more"), "275 iterations: {last}");
         // What goes on behind all of that has one part.
-        let later = Forecast::of(600, (1000, None), course(1000), String::new());
+        let later = Forecast::of(600, (1000, None), course(1000));
         assert_eq!(later.parts, [600]);
+        // What goes on shortly before a part says nothing of it, and waits.
+        let before = Forecast::of(230, (1000, None), course(1000));
+        assert_eq!(before.parts, [331, 250]);
     }
 }

@@ -75,7 +75,12 @@ fn report(arguments: &CheckArguments) -> Result<(String, u8), Failure> {
         _ => 0,
     };
     match prospects(scene, &config, arguments.time && code != WRONG) {
-        Ok(prospects) => text += &prospects,
+        Ok(prospects) => {
+            text += &prospects;
+            if arguments.time && code == WRONG {
+                text += "what training would take is not told while something is wrong\n";
+            }
+        }
         Err(error) => {
             let (verdict, why) = (Verdict::Wrong, with_causes(&*error));
             writeln!(text, "{verdict:>14}  training cannot begin: {why}")?;

@@ -51,12 +51,13 @@ impl Lengths {
         })
     }
 
-    /// Begins the next run where the one that has ended gained enough, and goes back to the one before where it lost; with what
-    /// there is to say. `log` is the log of the one that has ended.
+    /// Begins the next run where the one that has ended gained enough and no end `is_asked`, and goes back to the one before where it
+    /// lost; with what there is to say. `log` is the log of the one that has ended.
     pub(crate) fn next(
         &mut self,
         trainer: &mut Trainer,
         log: Vec<u8>,
+        is_asked: impl FnOnce() -> bool,
     ) -> Result<(String, Next), Failure> {
         let (iterations, seconds) = (trainer.iteration(), trainer.run().seconds());
         let psnr = trainer
@@ -70,7 +71,9 @@ impl Lengths {
             let times = iterations as f64 / before.iterations as f64;
             said += &format!(", {gained:+.2} dB by {times:.2} times the length");
         }
-        match (decision(iterations, self.most, gained), before) {
+        // An end that is asked for ends the run as it is.
+        let most = if is_asked() { iterations } else { self.most };
+        match (decision(iterations, most, gained), before) {
             (Decision::Back, Some(before)) => {
                 trainer.go_back(before.run);
                 trainer.count_seconds(seconds - trainer.run().seconds());

@@ -8,6 +8,8 @@ use trainer::{Gpu, Trainer};
 
 /// What trials and the report take besides, about: whole runs of the studies took 30 to 150 MiB more than training is said to.
 const BESIDES: u64 = 40 << 20;
+/// No picture is made smaller than by this.
+const LARGEST_FACTOR: usize = 64;
 
 /// Warns where a run may take more than there is, and says what makes it smaller.
 pub(crate) fn warn(trainer: &Trainer, config: &Config) {
@@ -26,17 +28,18 @@ fn warn_of_all(trainer: &Trainer, downscale: usize) {
     let Some((given, by)) = given() else {
         return;
     };
+    let total_at = |share: f64| trainer.memory_need_at(share).total() + BESIDES;
     let up_to = if trainer.limits_gaussians() {
         "up to"
     } else {
         "today's"
     };
-    let total = need.total() + BESIDES;
-    if let Some(advice) = advice(total, given, downscale) {
+    if let Some(advice) = advice(total_at, given, downscale) {
         say!(
-            "warning: training may take {} MiB of memory ({} for the pictures, {} for {up_to} {most} Gaussians, {} for a view and its blur), \
-             and there are {} MiB ({by}): {advice}",
-            mib(total),
+            "warning: training may take {} MiB of memory ({} for the program, {} for the pictures, {} for {up_to} {most} Gaussians, {} for a \
+             view and its blur), and there are {} MiB ({by}): {advice}",
+            mib(need.total() + BESIDES),
+            mib(need.program + BESIDES),
             mib(need.pictures),
             mib(need.gaussians),
             mib(need.view),
@@ -47,8 +50,9 @@ fn warn_of_all(trainer: &Trainer, downscale: usize) {
 
 /// Of a larger table than a GPU's buffers hold.
 fn warn_of_a_table(trainer: &Trainer, gpu: &Gpu, downscale: usize) {
-    let table = trainer.largest_table();
-    if let Some(advice) = advice(table.bytes, gpu.largest_buffer, downscale) {
+    let bytes_at = |share: f64| trainer.largest_table_at(share).bytes;
+    if let Some(advice) = advice(bytes_at, gpu.largest_buffer, downscale) {
+        let table = trainer.largest_table_at(1.0);
         say!(
             "warning: training may make a table of {} MiB ({}), and a buffer of {} holds {}: {advice}",
             mib(table.bytes),
@@ -70,16 +74,20 @@ pub(crate) fn expected(trainer: &Trainer, config: &Config) -> Option<u64> {
     config.run.backend.is_cpu().then(|| need.total() + BESIDES)
 }
 
-/// What makes a need fit into what is given; `None` where it fits.
-fn advice(need: u64, given: u64, downscale: usize) -> Option<String> {
-    if need <= given {
+/// What makes a need fit into what is given; `None` where it fits. `need` is that of pictures with a share of the pixels.
+fn advice(need: impl Fn(f64) -> u64, given: u64, downscale: usize) -> Option<String> {
+    if need(1.0) <= given {
         return None;
     }
-    // All that is large grows with the pixels.
-    let share = (need as f64 / given.max(1) as f64).sqrt();
-    let factor = (downscale as f64 * share).ceil().max(2.0);
+    let share = |factor: usize| (downscale as f64 / factor as f64).powi(2);
+    let mut factors = downscale + 1..=LARGEST_FACTOR;
+    let fits = match factors.find(|factor| need(share(*factor)) <= given) {
+        Some(factor) => format!("--downscale {factor} would fit, about"),
+        None => "no --downscale would do by itself".to_owned(),
+    };
     Some(format!(
-        "--downscale {factor:.0} would fit, about; lower `gaussians.max_per_pixel` and `gaussians.initial_static_per_pixel` and, with kernels, `blur.downscale = 2` take less too"
+        "{fits}; lower `gaussians.max_per_pixel` and `gaussians.initial_static_per_pixel`, fewer `camera.samples` and, with kernels, \
+         `blur.downscale = 2` take less too"
     ))
 }
 
@@ -191,10 +199,13 @@ mod tests {
 
     #[test]
     fn a_need_that_does_not_fit_comes_with_a_size_that_does() {
-        assert_eq!(advice(100, 100, 1), None);
-        let said = advice(101, 100, 1).expect("it does not fit");
-        assert!(said.starts_with("--downscale 2 "), "{said}");
-        let said = advice(1000, 100, 2).expect("it does not fit");
-        assert!(said.starts_with("--downscale 7 "), "{said}");
+        // A part that no picture makes smaller, and one that its pixels make.
+        let of = |fixed: f64, pixels: f64| move |share: f64| (fixed + pixels * share) as u64;
+        assert_eq!(advice(of(40.0, 60.0), 100, 1), None);
+        let said = |need, downscale| advice(need, 100, downscale).expect("it does not fit");
+        assert!(said(of(0.0, 101.0), 1).starts_with("--downscale 2 "));
+        assert!(said(of(0.0, 1000.0), 2).starts_with("--downscale 7 "));
+        assert!(said(of(80.0, 1100.0), 2).starts_with("--downscale 15 "));
+        assert!(said(of(101.0, 1.0), 1).starts_with("no --downscale "));
     }
 }

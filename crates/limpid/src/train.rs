@@ -33,6 +33,8 @@ struct Started {
     /// Where the run is trained in several lengths.
     lengths: Option<Lengths>,
     lock: Lock,
+    /// What is to be said of the time that it is said to take.
+    remark: String,
 }
 
 pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
@@ -48,10 +50,6 @@ pub(crate) fn run(arguments: &TrainArguments) -> Result<ExitCode, Failure> {
     } else {
         begin(arguments)?
     };
-    for note in &started.trainer.survey().notes {
-        say!("{note}");
-    }
-    memory::warn(&started.trainer, &started.config);
     let ended = started.train(&save, watch);
     ended.map_err(|error| {
         let error = with_causes(&*error);
@@ -81,7 +79,7 @@ impl Started {
                 break;
             }
             stop.unsaved();
-            let again = self.begins_again()?;
+            let again = self.begins_again(&stop)?;
             stop.saved();
             if !again {
                 break;
@@ -118,8 +116,8 @@ impl Started {
         Ok(ExitCode::SUCCESS)
     }
 
-    /// Makes of a run that is done one of twice the length, where that is asked for and pays. Says whether it did.
-    fn begins_again(&mut self) -> Result<bool, Failure> {
+    /// Makes of a run that is done one of twice the length, where that is asked for and pays, and no end. Says whether it did.
+    fn begins_again(&mut self, stop: &Stop) -> Result<bool, Failure> {
         let Some(lengths) = &mut self.lengths else {
             return Ok(false);
         };
@@ -129,13 +127,15 @@ impl Started {
             Err(e) if e.kind() == ErrorKind::NotFound => Vec::new(),
             read => read.map_err(|e| format!("{e}: {}", log_file.display()))?,
         };
-        let (said, next) = lengths.next(&mut self.trainer, log)?;
+        let (said, next) = lengths.next(&mut self.trainer, log, || stop.is_asked())?;
         say!("{said}");
         self.config.settings.iterations = self.trainer.settings().iterations;
-        // Where config.json says more iterations than the checkpoint does, a run is made longer: at no time may that be so here.
+        // Where config.json says more iterations than a checkpoint does, a run is made longer: at no time may that be so here.
         match next {
             Next::Done => Ok(false),
             Next::Longer => {
+                // The one before is of this length, too, should this one be damaged.
+                self.checkpoints.save(&self.trainer)?;
                 self.checkpoints.save(&self.trainer)?;
                 io::write_json(&self.out.join(CONFIG_FILE), &self.config)?;
                 Ok(true)
@@ -162,12 +162,14 @@ impl Started {
             trainer,
             checkpoints,
             lock,
+            remark,
             ..
         } = self;
         stop.unsaved();
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
-        let mut forecast = Forecast::new(trainer, memory::expected(trainer, config))?;
+        let memory = memory::expected(trainer, config);
+        let mut forecast = Forecast::new(trainer, memory, remark.clone())?;
         while !trainer.is_done() && !stop.is_asked() {
             let started = Instant::now();
             let step = trainer.step();
@@ -271,16 +273,21 @@ fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
     let mut trainer = during("fitting motion and placing Gaussians", || {
         Trainer::new(scene, settings, &device)
     })?;
+    introduce(&trainer, &config);
     if let Some(minutes) = asked.minutes {
         let lines = during("trying how long an iteration takes", || {
             budget::fit(&mut trainer, minutes, began)
         })?;
         lines.iter().for_each(|line| say!("{line}"));
     }
-    let lengths = if asked.until_done {
-        Some(Lengths::begin(&mut trainer)?)
+    let most = trainer.settings().iterations;
+    let (lengths, remark) = if asked.until_done {
+        let remark = format!("; this is one length of up to {most}, and longer ones may follow");
+        (Some(Lengths::begin(&mut trainer)?), remark)
+    } else if asked.minutes.is_none() {
+        (None, "; --minutes M makes a run of M minutes".to_owned())
     } else {
-        None
+        (None, String::new())
     };
     config.settings.iterations = trainer.settings().iterations;
     std::fs::create_dir_all(&out).map_err(|e| format!("{e}: {}", out.display()))?;
@@ -300,7 +307,17 @@ fn begin(asked: &TrainArguments) -> Result<Started, Failure> {
         trainer,
         lengths,
         lock,
+        remark,
     })
+}
+
+/// Says what was found in the scene of a run, what trials have decided so far, and where memory may not do.
+fn introduce(trainer: &Trainer, config: &Config) {
+    let found = trainer.survey().notes.iter();
+    for note in found.chain(trainer.run().decisions()) {
+        say!("{note}");
+    }
+    memory::warn(trainer, config);
 }
 
 /// The run in the results' folder.
@@ -327,8 +344,9 @@ fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
     let mut run = checkpoints::open(&out, &config)?;
     let edited = differences(&found.settings, run.settings());
     let trained = run.settings().iterations;
-    if !says_a_length && config.settings.iterations < trained {
-        // It ended on its way back to a shorter length (`--until-done`), whose checkpoint was not there yet.
+    let is_between = run.iteration() == 0 || run.is_done();
+    if !says_a_length && config.settings.iterations < trained && is_between {
+        // It ended on its way to another length (`--until-done`), before config.json or a checkpoint said so.
         say!("note: the checkpoint is that of a run of {trained} iterations, and is gone on with");
         config.settings.iterations = trained;
     }
@@ -346,6 +364,7 @@ fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
     let trainer = during("reading the scene", || -> Result<_, Failure> {
         Ok(Trainer::resume(run, config.open_scene()?)?)
     })?;
+    introduce(&trainer, &config);
     config.changes = trainer.run().changes().to_vec();
     say!(
         "going on after iteration {} of {}",
@@ -371,6 +390,7 @@ fn go_on(asked: &TrainArguments) -> Result<Started, Failure> {
         checkpoints,
         lengths: None,
         lock,
+        remark: String::new(),
     })
 }
 

@@ -147,6 +147,9 @@ fn a_length_that_was_killed_is_finished_and_not_the_one_before_made_longer()
     }
     run.kill()?;
     run.wait()?;
+    // Nor where the last checkpoint is damaged: the one before it is of this length, too.
+    let last = out.join("checkpoint").join(trainer::CHECKPOINT_FILE);
+    fs::write(last, "no checkpoint")?;
     let resumed = command(&out, &["--resume"]).output()?;
     let said = String::from_utf8_lossy(&resumed.stderr).into_owned();
     assert!(resumed.status.success(), "{said}");

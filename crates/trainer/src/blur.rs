@@ -101,6 +101,14 @@ impl BlurModel {
         }
     }
 
+    /// The iteration after which it is trained, at the price of all that follows; `None` where blur is not modelled.
+    pub(crate) fn trained_behind(&self) -> Option<usize> {
+        match self {
+            Self::Kernels(kernels) => Some(kernels.trained_behind()),
+            _ => self.moments().first().copied(),
+        }
+    }
+
     /// The iteration after which trials leave the camera alone; `None` where there is no camera.
     pub(crate) fn camera_settled(&self) -> Option<usize> {
         match self {
@@ -208,12 +216,15 @@ impl BlurModel {
         world: &World,
         looks: &[Look<'_>],
     ) -> Result<Revision, TrainError> {
-        let camera = match self {
+        let (camera, kernels_from) = match self {
             Self::Off | Self::Kernels(_) => return Ok(Revision::default()),
-            Self::Camera(camera) => camera,
-            Self::Both(both) => &mut both.camera,
+            Self::Camera(camera) => (camera.as_mut(), None),
+            Self::Both(both) => (&mut both.camera, Some(both.kernels.begins_behind())),
         };
-        let revised = camera.revise(world, looks)?;
+        let mut revised = camera.revise(world, looks)?;
+        if let Some(decision) = &mut revised.decision {
+            decision.kernels_from = kernels_from;
+        }
         let paths = Parameter::new("camera.paths", Group::CameraPath);
         let focuses = Parameter::new("camera.focus", Group::CameraFocus);
         Ok(Revision {

@@ -54,6 +54,8 @@ struct Header {
     /// Whether there are unseen views.
     has_unseen: bool,
     progress: Progress,
+    #[serde(default)]
+    decisions: Vec<String>,
     num_dynamic: usize,
     has_motion: bool,
     adam_steps: BTreeMap<String, Steps>,
@@ -102,6 +104,7 @@ impl Run {
             views: plan.views.clone(),
             has_unseen: plan.schedule.unseen_from.is_some(),
             progress: state.progress,
+            decisions: state.decisions.clone(),
             num_dynamic: state.model.num_dynamic(),
             has_motion: state.model.world.motion.is_some(),
             adam_steps: steps
@@ -223,6 +226,7 @@ impl Run {
                 optimizer,
                 density,
                 progress: header.progress,
+                decisions: header.decisions,
             },
             device,
             setback: None,

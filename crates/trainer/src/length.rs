@@ -27,11 +27,12 @@ pub struct Kept {
 /// When the costly parts of a run come, and how costly they are.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Course {
-    /// Frames are blurred after this iteration; `None` where blur is not modelled.
-    pub blurred_from: Option<usize>,
+    /// A model of blur is trained after this iteration; `None` where there is none. (BP-Net only runs forward for some iterations
+    /// before, which cost hardly more than those without it.)
+    pub blur_trained_from: Option<usize>,
     /// An iteration behind that takes so many times as long as one before it, within a factor of two: fitted to what runs took on the
     /// CPU (RESULTS.md, "Time foretold").
-    pub blurred_pace: f64,
+    pub blur_pace: f64,
     /// Every frame is looked at in several ways after each of these iterations.
     pub trials: Vec<usize>,
 }
@@ -110,8 +111,8 @@ impl Trainer {
         // With both models, one of them may begin where the other's last trial is.
         trials.dedup();
         Ok(Course {
-            blurred_from: moments.first().copied(),
-            blurred_pace: blurred_pace(&blur, settings),
+            blur_trained_from: blur.trained_behind(),
+            blur_pace: blur_pace(&blur, settings),
             trials,
         })
     }
@@ -159,7 +160,7 @@ const RENDER: f64 = 1.0 / 3.0;
 const NET: f64 = 1.8;
 
 /// How many times as long as without it an iteration takes with a model of blur, about.
-fn blurred_pace(blur: &BlurModel, settings: &Settings) -> f64 {
+fn blur_pace(blur: &BlurModel, settings: &Settings) -> f64 {
     let camera = RENDER * settings.camera.samples as f64;
     let net = NET / settings.blur.downscale as f64;
     match blur {

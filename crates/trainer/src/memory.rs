@@ -43,11 +43,21 @@ impl Trainer {
     /// The most Gaussians that there may be; where they have no limit, or are more than it from the start on, as many as there are now.
     #[must_use]
     pub fn most_gaussians(&self) -> usize {
-        let now = self.run.model().num_gaussians();
-        match self.run.plan.max_gaussians() {
+        self.most_gaussians_at(1.0)
+    }
+
+    /// The same with pictures that have this share of the pixels.
+    fn most_gaussians_at(&self, share: f64) -> usize {
+        let part = |count: usize| (share * count as f64) as usize;
+        let now = part(self.run.model().num_gaussians());
+        match self.run.plan.settings.gaussians.most(part(self.pixels())) {
             usize::MAX => now,
             most => most.max(now),
         }
+    }
+
+    fn pixels(&self) -> usize {
+        self.run.plan.views.train[0].camera.num_pixels()
     }
 
     /// Whether there is a most of Gaussians (`gaussians.max_per_pixel`).
@@ -56,23 +66,37 @@ impl Trainer {
         self.run.plan.max_gaussians() < usize::MAX
     }
 
-    /// The largest table that training makes on a GPU, about; see [`Gpu::largest_table`].
+    /// The largest table that training makes on a GPU with pictures that have this share of the pixels, about; see
+    /// [`Gpu::largest_table`].
     #[must_use]
-    pub fn largest_table(&self) -> Table {
+    pub fn largest_table_at(&self, share: f64) -> Table {
         let plan = &self.run.plan;
         let mut settings = plan.settings.clone();
         if matches!(self.run.model().blur, BlurModel::Off) {
             settings.blur.model = BlurKind::Off;
         }
-        let pixels = plan.views.train[0].camera.num_pixels();
-        Gpu::largest_table(&settings, self.most_gaussians(), pixels)
+        let pixels = (share * self.pixels() as f64) as usize;
+        Gpu::largest_table(&settings, self.most_gaussians_at(share), pixels)
+    }
+
+    /// What training takes of main memory at its peak, with as many Gaussians as there may be, if pictures have this share of the
+    /// pixels; see [`Trainer::memory_need`].
+    #[must_use]
+    pub fn memory_need_at(&self, share: f64) -> MemoryNeed {
+        let need = self.memory_need(self.most_gaussians_at(share));
+        let part = |bytes: u64| (share * bytes as f64) as u64;
+        MemoryNeed {
+            pictures: part(need.pictures),
+            view: part(need.view),
+            ..need
+        }
     }
 
     /// What training takes of main memory at its peak with so many Gaussians, within a factor of two; where tensors live on a GPU, it takes less here.
     #[must_use]
     pub fn memory_need(&self, gaussians: usize) -> MemoryNeed {
         let plan = &self.run.plan;
-        let pixels = plan.views.train[0].camera.num_pixels() as u64;
+        let pixels = self.pixels() as u64;
         let floats = |values: usize| 4 * values as u64;
         let scene = &self.data.scene;
         let frames = scene.frames.iter().map(|frame| {

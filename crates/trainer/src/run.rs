@@ -90,6 +90,12 @@ impl Run {
         &self.plan.survey
     }
 
+    /// What trials have decided so far of what blurs the frames, and why, for people.
+    #[must_use]
+    pub fn decisions(&self) -> &[String] {
+        &self.state.decisions
+    }
+
     /// When things happen.
     #[must_use]
     pub fn schedule(&self) -> &Schedule {

@@ -11,6 +11,8 @@ pub(crate) struct State {
     pub(crate) optimizer: Optimizer,
     pub(crate) density: DensityStats,
     pub(crate) progress: Progress,
+    /// What trials have decided so far, and why, for people.
+    pub(crate) decisions: Vec<String>,
 }
 
 impl State {
@@ -20,6 +22,7 @@ impl State {
             density: DensityStats::new(model.num_gaussians(), &model.world.means.device()),
             optimizer: Optimizer::default(),
             progress: Progress::default(),
+            decisions: Vec::new(),
             model,
         }
     }

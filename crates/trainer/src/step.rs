@@ -77,10 +77,14 @@ impl Trainer {
         let it = self.iteration() + 1;
         let revised = self.change_blur(it - 1)?;
         match (self.learn(it), revised) {
-            (Ok(report), Some(revised)) => Ok(StepReport {
-                decided: revised.decided,
-                ..report
-            }),
+            (Ok(report), Some(Revised { decided, .. })) => {
+                let behind = |decided: &String| format!("behind iteration {}: {decided}", it - 1);
+                self.run
+                    .state
+                    .decisions
+                    .extend(decided.as_ref().map(behind));
+                Ok(StepReport { decided, ..report })
+            }
             // The same trial comes again where the run goes on.
             (Err(error), Some(revised)) => {
                 revised.undo(&mut self.run.state);

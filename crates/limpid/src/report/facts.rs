@@ -122,6 +122,7 @@ impl<'a> Facts<'a> {
                 notes.push(note);
             }
         }
+        notes.extend_from_slice(run.decisions());
         Self {
             name: scene_name(config),
             version: env!("CARGO_PKG_VERSION"),

@@ -132,6 +132,16 @@ impl Kernels {
         it > self.moments.from
     }
 
+    /// The iteration after which frames are blurred.
+    pub(super) fn begins_behind(&self) -> usize {
+        self.moments.from
+    }
+
+    /// The iteration after which BP-Net is trained: it only runs forward before that.
+    pub(super) fn trained_behind(&self) -> usize {
+        self.moments.step_from
+    }
+
     pub(super) fn moments(&self) -> [usize; 4] {
         let m = &self.moments;
         [m.from, m.step_from, m.kernel_center_from, m.downsample_from]

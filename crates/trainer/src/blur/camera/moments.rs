@@ -6,8 +6,8 @@ use crate::schedule::PACED_ITERATIONS;
 const TRIALS: [f64; 4] = [0.055, 0.165, 0.275, 0.42];
 /// … and how often at least every frame has been seen between two of them: where a run is too short for that, there are fewer…
 const VISITS: usize = 5;
-/// … and the last, with which lens and paths that do not pay go and the aperture is freed, is never later than so much of what blur
-/// has of the run.
+/// … and the last, with which the aperture is freed and single paths that do not pay go, is never later than so much of what blur has
+/// of the run.
 const LATEST_TRIAL: f64 = 2.0 / 3.0;
 
 /// Of fewer frames than this, Gaussians become sharp under whatever paths they are trained with, so that these seem to pay late.

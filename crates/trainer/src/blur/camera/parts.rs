@@ -62,6 +62,10 @@ pub(crate) struct Decision {
     worth: Worth,
     /// Behind which iteration the next trial asks whether paths stay, if this one left that to it.
     until: Option<usize>,
+    /// Which parts the settings ask for, whatever trials find.
+    asked: Parts,
+    /// Behind which iteration kernels begin, where they are to stand on the camera.
+    pub(in crate::blur) kernels_from: Option<usize>,
 }
 
 impl fmt::Display for Decision {
@@ -71,13 +75,15 @@ impl fmt::Display for Decision {
             parts,
             worth,
             until,
+            asked,
+            kernels_from,
         } = self;
-        let asked = [
+        let tried = [
             (before.lens, worth.lens, "a lens"),
             (before.paths, worth.paths, "paths"),
         ];
-        let asked = asked.iter().filter(|(was, ..)| *was);
-        let changes = asked
+        let tried = tried.iter().filter(|(was, ..)| *was);
+        let changes = tried
             .map(|(_, worth, part)| format!("by {:+.1} % without {part}", 100.0 * worth))
             .collect::<Vec<_>>();
         if changes.is_empty() {
@@ -108,11 +114,40 @@ impl fmt::Display for Decision {
                 "no defocus is modelled{no_lens}, and motion blur until it is asked again (iteration {until})"
             ),
             (true, false, None) => write!(f, "motion blur is modelled, and no defocus{no_lens}"),
-            (false, true, _) => write!(f, "defocus is modelled, and no motion blur{no_paths}"),
-            (false, false, _) => f.write_str(
-                "no blur is modelled from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
-                 and `--blur kernels` has another model)",
-            ),
+            (false, true, _) => {
+                write!(
+                    f,
+                    "defocus is modelled, and no motion of the camera{no_paths}"
+                )
+            }
+            (false, false, _) => {
+                let (gone, otherwise) = match kernels_from {
+                    Some(from) => (
+                        "the camera explains no blur",
+                        format!("kernels begin behind iteration {from}"),
+                    ),
+                    None => (
+                        "no blur is modelled",
+                        "`--blur kernels` has another model".to_owned(),
+                    ),
+                };
+                write!(
+                    f,
+                    "{gone} from here on (a run of another length may find it; `camera.path` or `camera.lens` = \"always\" keeps it, \
+                     and {otherwise})"
+                )
+            }
+        }?;
+        let asked = [
+            (asked.lens && parts.lens, "`camera.lens`"),
+            (asked.paths && parts.paths, "`camera.path`"),
+        ];
+        let asked = asked.iter().filter(|(is_asked, _)| *is_asked);
+        let settings: Vec<&str> = asked.map(|(_, setting)| *setting).collect();
+        match settings[..] {
+            [] => Ok(()),
+            [one] => write!(f, ", as {one} = \"always\" asks"),
+            _ => write!(f, ", as {} = \"always\" ask", settings.join(" and ")),
         }
     }
 }
@@ -138,6 +173,11 @@ impl CameraBlur {
             parts,
             worth,
             until: until.filter(|_| worth.paths <= PATHS_PAY_BESIDE_LENS),
+            asked: Parts {
+                paths: self.settings.path == When::Always,
+                lens: self.settings.lens == When::Always,
+            },
+            kernels_from: None,
         })
     }
 
@@ -322,6 +362,8 @@ mod tests {
                     paths: 0.5,
                 },
                 until: None,
+                asked: parts([false, false]),
+                kernels_from: None,
             }
             .to_string()
         };
@@ -345,6 +387,41 @@ mod tests {
             let said = said(gone, [false, false]);
             assert!(said.contains("no blur is modelled from here on"), "{said}");
         }
+    }
+
+    #[test]
+    fn what_stays_since_it_is_asked_for_is_told_so() {
+        let parts = |[lens, paths]: [bool; 2]| Parts { paths, lens };
+        let said = |after: [bool; 2], asked: [bool; 2], kernels_from| {
+            Decision {
+                before: parts([true, true]),
+                parts: parts(after),
+                worth: Worth {
+                    lens: -0.01,
+                    paths: 0.0,
+                },
+                until: None,
+                asked: parts(asked),
+                kernels_from,
+            }
+            .to_string()
+        };
+        let lens = said([true, false], [true, false], None);
+        assert!(
+            lens.ends_with(", as `camera.lens` = \"always\" asks"),
+            "{lens}"
+        );
+        let both = said([true, true], [true, true], None);
+        assert!(both.contains("`camera.lens` and `camera.path`"), "{both}");
+        let found = said([true, true], [false, false], None);
+        assert!(!found.contains("asks"), "{found}");
+        // Kernels that stand on the camera explain what it does not.
+        let over = said([false, false], [false, false], Some(500));
+        assert!(
+            over.contains("kernels begin behind iteration 500"),
+            "{over}"
+        );
+        assert!(!over.contains("no blur is modelled"), "{over}");
     }
 
     /// What trials came to, on videos of which it is known what blurs them, and on real ones: the worth of the lens and of the paths.

@@ -39,7 +39,7 @@ impl TakenView {
 /// Figures of [`BlurModel::Camera`](crate::BlurModel::Camera) over all training frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraFigures {
-    /// Time for which the shutter is open, in units of frames.
+    /// Time for which the shutter is open, in units of frames; 0 where every frame is one render, for which it makes no difference.
     pub shutter: f64,
     /// Radius of the lens, scene units.
     pub aperture: f64,
@@ -51,8 +51,9 @@ impl CameraFigures {
     /// Of some views; `None` of none.
     pub(crate) fn of(views: &[TakenView]) -> Option<Self> {
         let first = views.first()?;
+        let is_exposed = views.iter().any(|view| view.frame.samples > 1);
         Some(Self {
-            shutter: first.shutter,
+            shutter: if is_exposed { first.shutter } else { 0.0 },
             aperture: first.aperture,
             frames: views.iter().map(|view| view.frame).collect(),
         })
