@@ -84,6 +84,13 @@ impl Record {
         }
     }
 
+    /// The processor of all attempts; `None` where it was none, or several.
+    pub(crate) fn processor(&self) -> Option<String> {
+        let mut all = self.attempts.iter().map(|a| &a.machine.processor);
+        let first = all.next()?;
+        all.all(|other| other == first).then(|| first.clone())
+    }
+
     /// All attempts together since the last that began from nothing: a run that went on from a checkpoint took what they all took.
     /// `None` where that is not known of all.
     pub(crate) fn measured(&self) -> Option<Measured> {

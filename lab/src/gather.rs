@@ -59,6 +59,7 @@ pub fn gather(
             let run = Finished {
                 figures: study.score.iter().map(of).collect(),
                 program: Some(origin.program()),
+                processor: record.processor(),
             };
             finished.insert(id, run);
         } else if let Some(earlier) = kept.and_then(|kept| kept.finished(case, &study.score)) {
@@ -112,6 +113,12 @@ pub fn gather(
         // All runs are of one program, which stands at the head.
         let rows = scenes.iter_mut().flat_map(|table| &mut table.rows);
         rows.for_each(|row| row.programs.clear());
+    }
+    let processors = finished.values().map(|run| run.processor.as_ref());
+    if processors.collect::<BTreeSet<_>>().len() < 2 {
+        // All runs are of one kind, which stands at the head.
+        let rows = scenes.iter_mut().flat_map(|table| &mut table.rows);
+        rows.for_each(|row| row.processors.clear());
     }
     Ok(Report {
         study: name.to_owned(),
@@ -407,6 +414,52 @@ except = ["b"]
             let error = Kept::read(&file, name, study).expect_err("no use");
             assert!(error.to_string().contains(told), "{error}");
         }
+    }
+
+    #[test]
+    fn costs_of_two_processors_are_told_apart() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = Path::new("s.toml");
+        let study = Study::parse(STUDY, path).expect("a study");
+        let places = Places {
+            out: folder.path().to_owned(),
+        };
+        let all = cases(&study, path, "p").expect("cases");
+        for case in &all {
+            write(&places, case, Some(30.0));
+        }
+        let report =
+            |kept| gather(("s", &study, path), &program("p"), &places, kept).expect("a report");
+        let elsewhere = |report: &Report| -> Vec<[bool; 2]> {
+            let rows = report.scenes.iter().flat_map(|table| &table.rows);
+            rows.map(|row| [0, 1].map(|score| row.cells[score].is_elsewhere))
+                .collect()
+        };
+        let one = report(None);
+        assert_eq!(elsewhere(&one), [[false; 2]; 5]);
+        assert!(one.scenes[0].rows[1].processors.is_empty(), "at the head");
+        // A run of `on`, on another kind.
+        let other = all.iter().find(|case| case.arm == "on").expect("a case");
+        let record = places.runs().join(&other.run.id).with_extension("json");
+        let text = fs::read_to_string(&record).expect("a record");
+        fs::write(&record, text.replace("a chip", "another")).expect("written");
+        let two = report(None);
+        let expected = [
+            [false, false],
+            [false, true],
+            [false; 2],
+            [false; 2],
+            [false; 2],
+        ];
+        assert_eq!(elsewhere(&two), expected, "of the cost alone");
+        let table = crate::table::markdown(&two, None);
+        assert!(table.contains("(×1.00 ± 0.00‡)"), "{table}");
+        // It is known of what an earlier report holds as well.
+        let file = folder.path().join("s.json");
+        fs::write(&file, serde_json::to_string(&two).expect("JSON")).expect("written");
+        fs::remove_dir_all(places.runs()).expect("removed");
+        let kept = Kept::read(&file, "s", &study).expect("a report");
+        assert_eq!(elsewhere(&report(Some(&kept))), expected);
     }
 
     #[test]

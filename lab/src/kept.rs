@@ -57,10 +57,22 @@ impl Kept {
             let is_only = self.report.earlier.is_empty();
             is_only.then(|| self.report.origin.program())
         };
+        let program = program.or_else(only);
+        let processor = row.processors.get(&case.seed).cloned();
         Some(Finished {
             figures: scores.iter().map(of).collect(),
-            program: program.or_else(only),
+            processor: processor.or_else(|| self.only_processor(program.as_deref())),
+            program,
         })
+    }
+
+    /// The processor of all runs of a program, of all programs where it is not known.
+    fn only_processor(&self, program: Option<&str>) -> Option<String> {
+        let origins = self.origins();
+        let origins = origins.filter(|of| program.is_none_or(|program| of.program() == program));
+        let mut all = origins.flat_map(|of| &of.machines).map(|m| &m.processor);
+        let first = all.next()?;
+        all.all(|other| other == first).then(|| first.clone())
     }
 
     /// What made its runs, the latest last.

@@ -274,6 +274,7 @@ mod tests {
             scenes: 1,
             runs: 2,
             programs: BTreeMap::new(),
+            processors: BTreeMap::new(),
             is_mixed: false,
             cells: vec![cell(cost), cell(quality)],
         }

@@ -14,6 +14,8 @@ pub(crate) struct Finished {
     pub(crate) figures: Vec<Option<f64>>,
     /// What made it, as [`Origin::program`] has it; not known of some that earlier reports hold.
     pub(crate) program: Option<String>,
+    /// The processor that it was made on; not known where it was several, nor of some that earlier reports hold.
+    pub(crate) processor: Option<String>,
 }
 
 /// All that the runs of a study say, without a path of this machine.
@@ -139,6 +141,9 @@ pub struct Row {
     /// What made them, by seed, where runs are of several programs and that is known.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub programs: BTreeMap<u64, String>,
+    /// What processor they were made on, by seed, where the report's runs are of several and that is known.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub processors: BTreeMap<u64, String>,
     /// Whether a gain may be between runs of two programs.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub is_mixed: bool,
@@ -156,6 +161,9 @@ pub struct Cell {
     pub mean: Option<Summary>,
     /// Gain against the other arm with the same seed: a difference, of costs a quotient.
     pub gain: Option<Summary>,
+    /// Whether that is of a cost, and may be between runs on two kinds of processor.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_elsewhere: bool,
     /// Share of the way from the baseline to the bound.
     pub closed: Option<Summary>,
     /// Of how many scenes gain and share are means, where they are.

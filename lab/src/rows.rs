@@ -34,7 +34,7 @@ pub(crate) fn rows(study: &Study, arms: &[Arm], all: &ByArm<'_>) -> Vec<Row> {
             .filter_map(|(seed, run)| Some((*seed, run.figures[score]?)))
             .collect()
     };
-    let cell = |arm: &Arm, score: usize| {
+    let cell = |arm: &Arm, score: usize, elsewhere: bool| {
         let here = values(Some(&arm.name), score);
         let there = values(arm.against.as_deref(), score);
         let from = values(Some(study.baseline()), score);
@@ -44,6 +44,7 @@ pub(crate) fn rows(study: &Study, arms: &[Arm], all: &ByArm<'_>) -> Vec<Row> {
         Cell {
             mean: Summary::of(&Vec::from_iter(here.values().copied())),
             gain: gain(kind, &here, &there),
+            is_elsewhere: elsewhere && kind == Kind::Cost,
             closed: is_way.then(|| closed(&here, &from, &to, least)).flatten(),
             values: here,
             over: None,
@@ -59,11 +60,19 @@ pub(crate) fn rows(study: &Study, arms: &[Arm], all: &ByArm<'_>) -> Vec<Row> {
                 .into_iter()
                 .flatten()
                 .filter_map(|name| all.get(name));
-            let cells = (0..study.score.len()).map(|score| cell(arm, score));
-            let of_program = |(seed, run): (&u64, &&Finished)| Some((*seed, run.program.clone()?));
+            let against = arm.against.as_deref().and_then(|name| all.get(name));
+            let elsewhere =
+                against.is_some_and(|other| may_differ(runs, other, |run| run.processor.as_ref()));
+            let cells = (0..study.score.len()).map(|score| cell(arm, score, elsewhere));
+            let by_seed = |of: fn(&Finished) -> Option<&String>| {
+                let known = runs.iter();
+                let known = known.filter_map(|(seed, run)| Some((*seed, of(run)?.clone())));
+                known.collect()
+            };
             Some(Row {
-                programs: runs.iter().filter_map(of_program).collect(),
-                is_mixed: others.any(|other| is_mixed(runs, other)),
+                programs: by_seed(|run| run.program.as_ref()),
+                processors: by_seed(|run| run.processor.as_ref()),
+                is_mixed: others.any(|other| may_differ(runs, other, |run| run.program.as_ref())),
                 ..row(arm, 1, runs.len(), cells.collect())
             })
         })
@@ -81,16 +90,21 @@ fn row(arm: &Arm, scenes: usize, runs: usize, cells: Vec<Cell>) -> Row {
         scenes,
         runs,
         programs: BTreeMap::new(),
+        processors: BTreeMap::new(),
         is_mixed: false,
         cells,
     }
 }
 
-/// Whether two runs with the same seed may be of two programs.
-fn is_mixed(here: &BTreeMap<u64, &Finished>, there: &BTreeMap<u64, &Finished>) -> bool {
+/// Whether two runs with the same seed may be of two programs, or whatever else is asked of each.
+fn may_differ(
+    here: &BTreeMap<u64, &Finished>,
+    there: &BTreeMap<u64, &Finished>,
+    of: fn(&Finished) -> Option<&String>,
+) -> bool {
     here.iter().any(|(seed, run)| {
         let other = there.get(seed);
-        other.is_some_and(|other| run.program.is_none() || run.program != other.program)
+        other.is_some_and(|other| of(run).is_none() || of(run) != of(other))
     })
 }
 
@@ -149,6 +163,7 @@ pub(crate) fn overall(arms: &[Arm], scenes: &[SceneTable], scores: usize) -> Vec
                 values: BTreeMap::new(),
                 mean,
                 gain,
+                is_elsewhere: found.iter().any(|row| row.cells[score].is_elsewhere),
                 closed,
                 over: Some([gained, shared]),
             }

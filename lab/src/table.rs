@@ -137,6 +137,14 @@ fn legend(report: &Report) -> String {
         write!(text, "; {MIXED} where runs of two programs are compared")
             .expect("a string takes text");
     }
+    let mut cells = report.overall.iter().flat_map(|row| &row.cells);
+    if cells.any(|cell| cell.is_elsewhere) {
+        write!(
+            text,
+            "; {ELSEWHERE} where costs on two kinds of processor are compared, never bold"
+        )
+        .expect("a string takes text");
+    }
     text.push('.');
     text
 }
@@ -150,6 +158,8 @@ fn by_chance(seeds: usize) -> Option<usize> {
 
 /// Behind a row whose gains may be between two programs.
 const MIXED: &str = "†";
+/// Behind what a cost is compared with another processor's.
+const ELSEWHERE: &str = "‡";
 
 fn head(out: &mut String, counted: &str, scores: &[Score]) -> std::fmt::Result {
     write!(out, "| | {counted} |")?;
@@ -212,10 +222,10 @@ fn gain(cell: &Cell, score: &Score, scenes: Option<usize>) -> Option<String> {
             (number(&gain, 2, times), from_one.is_clear())
         }
     };
-    let text = if is_clear {
-        format!("**{text}**")
-    } else {
-        text
+    let text = match (cell.is_elsewhere, is_clear) {
+        (true, _) => text + ELSEWHERE,
+        (false, true) => format!("**{text}**"),
+        (false, false) => text,
     };
     let of = |figure: usize| {
         let count = cell.over.map(|over| over[figure]);
@@ -277,6 +287,14 @@ mod tests {
         assert_eq!(
             text(&dear, &score("seconds")),
             "101.0 ± 1.0 (**×2.05 ± 0.05**)"
+        );
+        let elsewhere = Cell {
+            is_elsewhere: true,
+            ..dear.clone()
+        };
+        assert_eq!(
+            text(&elsewhere, &score("seconds")),
+            "101.0 ± 1.0 (×2.05 ± 0.05‡)"
         );
         assert_eq!(text(&Cell::default(), &score("all")), "–");
         let over = Cell {
