@@ -3,7 +3,7 @@
 use crate::children::Children;
 use crate::error::LabError;
 use crate::files::write_json;
-use crate::machine::Machine;
+use crate::machine::{Machine, only_processor};
 use crate::plan::{PlannedRun, Program};
 use crate::score::Measured;
 use serde::{Deserialize, Serialize};
@@ -86,9 +86,7 @@ impl Record {
 
     /// The processor of all attempts; `None` where it was none, or several.
     pub(crate) fn processor(&self) -> Option<String> {
-        let mut all = self.attempts.iter().map(|a| &a.machine.processor);
-        let first = all.next()?;
-        all.all(|other| other == first).then(|| first.clone())
+        only_processor(self.attempts.iter().map(|attempt| &attempt.machine))
     }
 
     /// All attempts together since the last that began from nothing: a run that went on from a checkpoint took what they all took.

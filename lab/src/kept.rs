@@ -2,6 +2,7 @@
 
 use crate::error::LabError;
 use crate::expand::Case;
+use crate::machine::only_processor;
 use crate::report::{Finished, Origin, Report, Row};
 use crate::score::Score;
 use crate::study::Study;
@@ -61,18 +62,16 @@ impl Kept {
         let processor = row.processors.get(&case.seed).cloned();
         Some(Finished {
             figures: scores.iter().map(of).collect(),
-            processor: processor.or_else(|| self.only_processor(program.as_deref())),
+            processor: processor.or_else(|| self.processor(program.as_deref())),
             program,
         })
     }
 
     /// The processor of all runs of a program, of all programs where it is not known.
-    fn only_processor(&self, program: Option<&str>) -> Option<String> {
+    fn processor(&self, program: Option<&str>) -> Option<String> {
         let origins = self.origins();
         let origins = origins.filter(|of| program.is_none_or(|program| of.program() == program));
-        let mut all = origins.flat_map(|of| &of.machines).map(|m| &m.processor);
-        let first = all.next()?;
-        all.all(|other| other == first).then(|| first.clone())
+        only_processor(origins.flat_map(|of| &of.machines))
     }
 
     /// What made its runs, the latest last.

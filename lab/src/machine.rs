@@ -24,6 +24,15 @@ impl Machine {
     }
 }
 
+/// The processor of all of some machines; `None` of none, and where they are of several kinds.
+pub(crate) fn only_processor<'a>(
+    machines: impl IntoIterator<Item = &'a Machine>,
+) -> Option<String> {
+    let mut all = machines.into_iter().map(|machine| &machine.processor);
+    let first = all.next()?;
+    all.all(|other| other == first).then(|| first.clone())
+}
+
 fn model(cpuinfo: &str) -> Option<&str> {
     let line = cpuinfo
         .lines()

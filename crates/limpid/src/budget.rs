@@ -172,7 +172,7 @@ impl Tried {
             sharp,
             blurred,
             settled,
-            trial: trial.unwrap_or(TRIAL_LOOKS * frames as f64 * blurred),
+            trial: trial.unwrap_or_else(|| supposed_trial(frames, blurred)),
             ending: 0.0,
         }
     }
@@ -204,6 +204,11 @@ impl Tried {
             Ok(self.seconds(n, &trainer.course(n)?) <= seconds)
         })
     }
+}
+
+/// Seconds of a trial that looks at so many frames, where none was timed.
+fn supposed_trial(frames: usize, pace: f64) -> f64 {
+    TRIAL_LOOKS * frames as f64 * pace
 }
 
 /// The largest number from `least` to `most` that fits, where all below one that fits do; `least` where none does.
@@ -242,9 +247,7 @@ pub(crate) struct Forecast {
     among: (usize, f64),
     iterations: usize,
     /// What else there is to say behind the first part.
-    memory: String,
-    /// What there is to say of these times, with the first of them.
-    remark: String,
+    besides: String,
 }
 
 impl Forecast {
@@ -252,7 +255,7 @@ impl Forecast {
     pub(crate) fn new(
         trainer: &Trainer,
         memory: Option<u64>,
-        remark: String,
+        remark: &str,
     ) -> Result<Self, Failure> {
         let iterations = trainer.settings().iterations;
         let frames = memory.map(|_| trainer.run().views().train.len());
@@ -268,8 +271,7 @@ impl Forecast {
         let course = trainer.course(trainer.schedule().iterations)?;
         let (done, length) = (trainer.iteration(), (iterations, frames));
         Ok(Self {
-            memory,
-            remark,
+            besides: memory + remark,
             ..Self::of(done, length, course)
         })
     }
@@ -296,8 +298,7 @@ impl Forecast {
             trial: None,
             among: (0, 0.0),
             iterations,
-            memory: String::new(),
-            remark: String::new(),
+            besides: String::new(),
         }
     }
 
@@ -312,9 +313,8 @@ impl Forecast {
         let before = self.before.replace(now);
         let trials = &self.course.trials;
         if trials.contains(&(iteration - 1)) {
-            let took = before.map_or(0.0, |before| (now - before).as_secs_f64());
-            self.trial = before.and(Some(took));
-            self.among = (self.among.0 + 1, self.among.1 + took);
+            self.trial = before.map(|before| (now - before).as_secs_f64());
+            self.among = (self.among.0 + 1, self.among.1 + self.trial.unwrap_or(0.0));
         }
         let part = *self.parts.last()?;
         if iteration == part + WARM {
@@ -330,31 +330,30 @@ impl Forecast {
             ((now - self.warm?).as_secs_f64() - took) / TIMED.saturating_sub(trials_among) as f64;
         let ahead = trials.iter().filter(|trial| **trial >= iteration);
         let iterating = pace * self.iterations.saturating_sub(iteration) as f64;
-        let supposed = self.frames.map(|n| TRIAL_LOOKS * n as f64 * pace);
+        let supposed = self.frames.map(|frames| supposed_trial(frames, pace));
         let trial = self.trial.or(supposed).unwrap_or(0.0);
         let left = duration(iterating + trial * ahead.count() as f64);
         let threads = rayon::current_num_threads();
-        let memory = std::mem::take(&mut self.memory);
-        let remark = std::mem::take(&mut self.remark);
+        let besides = std::mem::take(&mut self.besides);
         let paced = format!("on {threads} threads, at {pace:.3} s an iteration");
         Some(match self.parts.last() {
             Some(next) if !trials.contains(&(next - 1)) => {
                 let from = next + 1;
                 match self.foretold(pace, iteration) {
                     Some(all) => format!(
-                        "expects about {} {paced} and about {:.1} times that once a model of blur is trained (from iteration {from} on){memory}{remark}",
+                        "expects about {} {paced} and about {:.1} times that once a model of blur is trained (from iteration {from} on){besides}",
                         duration(all),
                         self.course.blur_pace,
                     ),
                     None => format!(
-                        "expects at least {left} {paced}, more once a model of blur is trained (from iteration {from} on){memory}{remark}"
+                        "expects at least {left} {paced}, more once a model of blur is trained (from iteration {from} on){besides}"
                     ),
                 }
             }
             Some(next) => format!(
-                "expects about {left} more {paced}, until a trial finds what blurs these frames (iteration {next}){memory}{remark}"
+                "expects about {left} more {paced}, until a trial finds what blurs these frames (iteration {next}){besides}"
             ),
-            None => format!("expects about {left} more {paced}{memory}{remark}"),
+            None => format!("expects about {left} more {paced}{besides}"),
         })
     }
 }

@@ -4,7 +4,7 @@ use crate::config::Config;
 use crate::say::say;
 use std::fs;
 use std::path::Path;
-use trainer::{Gpu, Trainer};
+use trainer::{Gpu, MemoryNeed, Trainer};
 
 /// What trials and the report take besides, about: whole runs of the studies took 30 to 150 MiB more than training is said to.
 const BESIDES: u64 = 40 << 20;
@@ -23,12 +23,11 @@ pub(crate) fn warn(trainer: &Trainer, config: &Config) {
 
 /// Of more main memory than the system will give. Says nothing where the system does not tell.
 fn warn_of_all(trainer: &Trainer, downscale: usize) {
-    let most = trainer.most_gaussians();
-    let need = trainer.memory_need(most);
+    let (most, need) = (trainer.most_gaussians(), need_at(trainer, 1.0));
     let Some((given, by)) = given() else {
         return;
     };
-    let total_at = |share: f64| trainer.memory_need_at(share).total() + BESIDES;
+    let total_at = |share: f64| need_at(trainer, share).total();
     let up_to = if trainer.limits_gaussians() {
         "up to"
     } else {
@@ -38,8 +37,8 @@ fn warn_of_all(trainer: &Trainer, downscale: usize) {
         say!(
             "warning: training may take {} MiB of memory ({} for the program, {} for the pictures, {} for {up_to} {most} Gaussians, {} for a \
              view and its blur), and there are {} MiB ({by}): {advice}",
-            mib(need.total() + BESIDES),
-            mib(need.program + BESIDES),
+            mib(need.total()),
+            mib(need.program),
             mib(need.pictures),
             mib(need.gaussians),
             mib(need.view),
@@ -70,8 +69,17 @@ pub(crate) fn mib(bytes: u64) -> u64 {
 
 /// Bytes of main memory that a run takes at its peak, about; `None` where tensors live elsewhere.
 pub(crate) fn expected(trainer: &Trainer, config: &Config) -> Option<u64> {
-    let need = trainer.memory_need(trainer.most_gaussians());
-    config.run.backend.is_cpu().then(|| need.total() + BESIDES)
+    let total = || need_at(trainer, 1.0).total();
+    config.run.backend.is_cpu().then(total)
+}
+
+/// What training takes with pictures that have this share of the pixels, and the program with what it takes besides.
+fn need_at(trainer: &Trainer, share: f64) -> MemoryNeed {
+    let need = trainer.memory_need_at(share);
+    MemoryNeed {
+        program: need.program + BESIDES,
+        ..need
+    }
 }
 
 /// What makes a need fit into what is given; `None` where it fits. `need` is that of pictures with a share of the pixels.

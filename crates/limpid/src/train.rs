@@ -169,7 +169,7 @@ impl Started {
         let mut log = Log::open(out, trainer.iteration(), trainer.settings().iterations)?;
         let mut progress = Progress::new(trainer.iteration(), trainer.settings().iterations);
         let memory = memory::expected(trainer, config);
-        let mut forecast = Forecast::new(trainer, memory, remark.clone())?;
+        let mut forecast = Forecast::new(trainer, memory, remark)?;
         while !trainer.is_done() && !stop.is_asked() {
             let started = Instant::now();
             let step = trainer.step();

@@ -107,7 +107,7 @@ pub(crate) struct PairChanges {
 }
 
 /// What pairs of frames change by: neighbours, or frames a quarter of the video apart, whichever change more. `None` where `change`
-/// tells it of less than three pairs of either.
+/// tells it of three pairs of neither.
 pub(crate) fn pair_changes(
     frames: &[Frame],
     change: impl Fn(&Frame, &Frame) -> Option<f64> + Sync,

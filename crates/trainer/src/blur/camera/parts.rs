@@ -350,23 +350,28 @@ fn share_more(error: f64, errors: &[f64]) -> f64 {
 mod tests {
     use super::{Asked, Decision, Parts, Worth, stay};
 
+    fn parts([lens, paths]: [bool; 2]) -> Parts {
+        Parts { paths, lens }
+    }
+
+    /// Of a trial that left these parts, lens and paths, of those that there were.
+    fn decision(before: [bool; 2], after: [bool; 2]) -> Decision {
+        Decision {
+            before: parts(before),
+            parts: parts(after),
+            worth: Worth {
+                lens: 0.25,
+                paths: 0.5,
+            },
+            until: None,
+            asked: parts([false, false]),
+            kernels_from: None,
+        }
+    }
+
     #[test]
     fn only_what_was_there_is_said_to_go_and_told_how_it_stays() {
-        let said = |before: [bool; 2], after: [bool; 2]| {
-            let parts = |[lens, paths]: [bool; 2]| Parts { paths, lens };
-            Decision {
-                before: parts(before),
-                parts: parts(after),
-                worth: Worth {
-                    lens: 0.25,
-                    paths: 0.5,
-                },
-                until: None,
-                asked: parts([false, false]),
-                kernels_from: None,
-            }
-            .to_string()
-        };
+        let said = |before, after| decision(before, after).to_string();
         for (before, after) in [
             ([true, true], [true, true]),
             ([true, true], [true, false]),
@@ -391,18 +396,11 @@ mod tests {
 
     #[test]
     fn what_stays_since_it_is_asked_for_is_told_so() {
-        let parts = |[lens, paths]: [bool; 2]| Parts { paths, lens };
-        let said = |after: [bool; 2], asked: [bool; 2], kernels_from| {
+        let said = |after, asked, kernels_from| {
             Decision {
-                before: parts([true, true]),
-                parts: parts(after),
-                worth: Worth {
-                    lens: -0.01,
-                    paths: 0.0,
-                },
-                until: None,
                 asked: parts(asked),
                 kernels_from,
+                ..decision([true, true], after)
             }
             .to_string()
         };
