@@ -242,9 +242,17 @@ fn restore(out: &Path, config: &Config, lock: &mut Lock) -> Result<(), Failure> 
 
 /// What a new run is asked for.
 fn configured(asked: &TrainArguments) -> Result<Config, Failure> {
-    let mut config = config::from_table(asked.table()?, &Config::of(asked.defaults()))?;
+    let mut defaults = asked.defaults();
+    if asked.until_done {
+        defaults.frames.held_back = HELD_BACK;
+    }
+    let mut config = config::from_table(asked.table()?, &Config::of(defaults))?;
     if asked.until_done && config.settings.frames.held_back == 0.0 {
-        config.settings.frames.held_back = HELD_BACK;
+        return Err(format!(
+            "--until-done goes by pixels that are held back, and frames.held_back is asked to be 0 (the config.json of a run says so \
+             too): leave it out, or add --set frames.held_back={HELD_BACK}"
+        )
+        .into());
     }
     // An absolute path, so that the run can be repeated from anywhere.
     if let Some(scene) = &mut config.run.scene {

@@ -98,6 +98,18 @@ fn a_time_that_is_too_short_is_said_and_no_time_is_refused() -> Result<(), Box<d
 }
 
 #[test]
+fn a_run_until_done_is_refused_where_no_pixels_are_to_be_held_back() -> Result<(), Box<dyn Error>> {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("run");
+    let run = train(&out, &["--until-done", "--set", "frames.held_back=0"])?;
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(1), "{said}");
+    assert!(said.contains("--set frames.held_back=0.03"), "{said}");
+    assert!(!out.exists());
+    Ok(())
+}
+
+#[test]
 fn lengths_double_up_to_the_most_and_the_run_that_is_kept_can_be_repeated()
 -> Result<(), Box<dyn Error>> {
     let folder = tempfile::tempdir()?;
