@@ -17,8 +17,12 @@ use tracing::trace_span;
 /// only a little better before the scene is sharp can lead to where no trial gets it out again. (RESULTS.md, "What a trial sees",
 /// has what was seen.)
 const FRESH_PATH_PAYS: f64 = 0.1;
-/// A frame whose error is so many times that of the frame in the middle, 2.5 dB, is not explained.
+/// A frame whose error is so many times that of the frame in the middle, 2.5 dB, may have a path that it does not leave by itself.
 const NOT_EXPLAINED: f64 = 1.8;
+/// A frame whose error is so many times that of the frame in the middle, 6 dB, moves no other: its path does not tell what is the
+/// scene's. Less is no reason: where the scene lies wrong, and not the path, none of the frames that show it would hold it. (RESULTS.md,
+/// "One frame moved the scene", has what was seen.)
+const MOVES_NO_OTHER: f64 = 4.0;
 /// A frame's path pays if without it the frame's error is larger by more than this share.
 const PATH_PAYS: f64 = 0.01;
 /// A frame is tried with up to so many renders or more, however few it is trained with: what a lens explains is not seen through
@@ -127,7 +131,7 @@ impl CameraBlur {
             }
         }
         let usual = median(&errors);
-        let explained = errors.iter().map(|error| *error <= NOT_EXPLAINED * usual);
+        let explained = errors.iter().map(|error| *error <= MOVES_NO_OTHER * usual);
         self.gauge.explained = explained.collect();
         Ok(changed)
     }
