@@ -21,7 +21,7 @@ const FRESH_PATH_PAYS: f64 = 0.1;
 const NOT_EXPLAINED: f64 = 1.8;
 /// A frame whose error is so many times that of the frame in the middle, 6 dB, moves no other: its path does not tell what is the
 /// scene's. Less is no reason: where the scene lies wrong, and not the path, none of the frames that show it would hold it. (RESULTS.md,
-/// "One frame moved the scene", has what was seen.)
+/// "Frames that were left out drifted off", has what was seen.)
 const MOVES_NO_OTHER: f64 = 4.0;
 /// A frame's path pays if without it the frame's error is larger by more than this share.
 const PATH_PAYS: f64 = 0.01;
